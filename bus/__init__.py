@@ -1,0 +1,1 @@
+"""The zenoh contract: message schemas, topics and how a session is opened."""
