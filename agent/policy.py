@@ -1,4 +1,4 @@
-"""What a mission file may name as its policy. Light to import: no torch here, `agent.policies` builds the real thing."""
+"""What a mission file may name as its policy. Light to import: no torch here, `agent.policies` builds the rest."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
