@@ -1,0 +1,38 @@
+import pytest
+from pydantic import ValidationError
+
+from autopilot_bridge.config import BridgeConfig
+
+GOOD = {
+    "clock": {"kind": "paced"},
+    "slots": 60,
+    "start_position_enu": (0, 0, 60),
+    "box": {"x": (-100, 100), "y": (-100, 100), "z": (30, 120)},
+}
+
+
+def test_the_default_fence_is_the_box_and_a_margin():
+    config = BridgeConfig(**GOOD)
+    assert config.slot_fence.spans == ((-110, 110), (-110, 110), (25, 125))
+    assert config.flight_fence.contains((0, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"autopilot": "tcp://127.0.0.1:5760"}, "only udpin"),
+        ({"autopilot": "udpin://127.0.0.1:99999"}, "Port out of range"),
+        ({"clock": {"kind": "lockstep", "control": "4560"}}, "HOST:PORT"),
+        ({"clock": {"kind": "sundial"}}, "clock"),
+        ({"slots": 0}, "slots"),
+        ({"slot_s": 1.03}, "multiple of 0.1"),
+        ({"v_max_mps": float("inf")}, "v_max_mps"),
+        ({"start_position_enu": (0, 0, 10)}, "outside the box"),
+        ({"box": {"x": (1, 1), "y": (0, 1), "z": (0, 1)}}, "minimum must be below"),
+        ({"fence": {"x": (-100, 100), "y": (-100, 100), "z": (40, 120)}}, "fence.z"),
+        ({"grace": 3}, "grace"),
+    ],
+)
+def test_bad_input_is_named(change, told):
+    with pytest.raises(ValidationError, match=told):
+        BridgeConfig(**(GOOD | change))
