@@ -58,9 +58,9 @@ class DualActorDdpg:
         self.target_continuous_actor = copy.deepcopy(self.continuous_actor).eval().requires_grad_(False)
         self.target_discrete_actor = copy.deepcopy(self.discrete_actor).eval().requires_grad_(False)
         self.target_critic = copy.deepcopy(self.critic).eval().requires_grad_(False)
-        self.continuous_optimiser = torch.optim.Adam(self.continuous_actor.parameters(), config.actor_lr)
-        self.discrete_optimiser = torch.optim.Adam(self.discrete_actor.parameters(), config.actor_lr)
-        self.critic_optimiser = torch.optim.Adam(self.critic.parameters(), config.critic_lr)
+        self.continuous_optimiser = torch.optim.Adam(self.continuous_actor.parameters(), config.actor_lr, fused=True)
+        self.discrete_optimiser = torch.optim.Adam(self.discrete_actor.parameters(), config.actor_lr, fused=True)
+        self.critic_optimiser = torch.optim.Adam(self.critic.parameters(), config.critic_lr, fused=True)
 
     def act(self, observation: Tensor) -> Tensor:
         """Whole raw action [B, A] of the current actors, the discrete half as signs; no exploration."""

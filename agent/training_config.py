@@ -28,8 +28,8 @@ class TrainingConfig(BaseModel):
     warmup: Annotated[int, Field(ge=0)] = 3200
     """Transitions of random actions before the first update."""
 
-    hidden: tuple[Count, ...] = Field(default=(512, 256), min_length=1)
-    """Widths of the dense layers of the actors and of the critic's state branch."""
+    hidden: tuple[Count, ...] = Field(default=(256, 256), min_length=1)
+    """Widths of the dense layers of the actors and of the critic's state branch: the paper has 256 to 512 by N."""
     actor_lr: Positive = 1e-4
     critic_lr: Positive = 1e-3
     discount: Annotated[float, Field(ge=0, le=1)] = 0.95
