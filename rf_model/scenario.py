@@ -1,0 +1,330 @@
+"""The scenario: one frozen, validated config that sets every switch of the radio world.
+
+The paper leaves many things open and prints some that cannot be; each such point is a field here whose default is the
+physically sound reading and whose other values are the readings that can be chosen instead. `docs/rf_model.md` maps
+equations to functions and switches.
+"""
+
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from airframe.power import (
+    Climb,
+    Induced,
+    Panel,
+    RisArea,
+    RotaryWing,
+    VPerp,
+    hover_induced_velocity,
+    hover_power,
+    panel_area_m2,
+)
+
+SPEED_OF_LIGHT_MPS = 299_792_458.0
+PRINTED_INDUCED_VELOCITY_MPS = 4.028
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Decibel = Annotated[float, Field(ge=-200, le=200)]
+Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
+Point = tuple[Metres, Metres, Metres]
+Interval = tuple[Metres, Metres]
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be; the text names the field, the value and what is allowed, in one line."""
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class PathLoss(_Frozen):
+    """Path-loss model of each link: the paper's (eq. 7-9), TR 38.901 table 7.4.1-1, or free space."""
+
+    bs_user: Literal["paper", "tr38901_umi", "tr38901_uma"] = "paper"
+    """Base station to user, always without line of sight."""
+    bs_ris: Literal["paper"] = "paper"
+    """Base station to surface, always with line of sight (eq. 7)."""
+    ris_user: Literal["paper", "free_space"] = "paper"
+    """Surface to user, line-of-sight part; `Scenario.ris_user` says when it holds."""
+
+
+class Scenario(_Frozen):
+    """Geometry, radio, surface, users, vehicle and reward of one radio world.
+
+    The defaults are the preset `physical_1km`; take a preset with `preset(name, **overrides)`.
+    """
+
+    # Time
+    slots: Annotated[int, Field(ge=1, le=1_000_000)] = 30
+    slot_s: Annotated[float, Field(ge=0.1, le=60)] = 1.0
+    timing: Literal["pre"] = "pre"
+    """`pre`: the rate of a slot is that of the channels at its opening; the move acts on the next slot's."""
+
+    # Sizes
+    antennas: Annotated[int, Field(ge=1, le=256)] = 4
+    """M, a line along y at the base station."""
+    users: Annotated[int, Field(ge=1, le=256)] = 4
+    """J."""
+    reflection_users: Annotated[int, Field(ge=0)] | None = None
+    """P, the users that start on the base station's side of the panel (they come first); none given: half of J."""
+    rows: Annotated[int, Field(ge=1, le=64)] = 16
+    columns: Annotated[int, Field(ge=1, le=64)] = 16
+    """The surface has N = rows x columns separately controlled elements."""
+    group: Annotated[int, Field(ge=1, le=16)] = 1
+    """A controlled element is a square of group x group physical ones, which share its coefficients."""
+    mu: Annotated[float, Field(ge=1, le=16)] = 2.0
+    """Physical elements are spaced lambda / mu."""
+
+    # Geometry
+    box_enu: tuple[Interval, Interval, Interval] = ((-100.0, 100.0), (-100.0, 100.0), (30.0, 120.0))
+    """Where the vehicle may be: (min, max) of x, y and z [m]."""
+    start_enu: Point = (0.0, 0.0, 60.0)
+    base_station_enu: Point = (-1000.0, 0.0, 25.0)
+    panel_heading_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
+    """Yaw held in flight: the panel's normal is (cos yaw, sin yaw, 0)."""
+    region: Literal["geometric", "fixed"] = "geometric"
+    """Which users the surface serves by transmission: those beyond the panel's plane, or the last J - P, always."""
+
+    # Users
+    user_centre_enu: tuple[Metres, Metres] = (0.0, 0.0)
+    user_radius_m: tuple[NonNegative, Positive] = (20.0, 100.0)
+    user_half_angle_rad: Annotated[float, Field(gt=0, le=math.pi / 2)] = math.pi / 2
+    """Users start in two sectors of this ring about the centre, this far to either side of the panel's axis."""
+    user_height_m: Annotated[float, Field(ge=0, le=30)] = 1.5
+    user_speed_mps: Annotated[float, Field(ge=0, le=50)] = 1.5
+    mobility: Literal["random", "directional"] = "random"
+    """`random`: own headings, noise 0.5 rad a slot; `directional`: one common start heading, noise 0.05."""
+    user_bounds: Literal["sector", "none"] = "sector"
+    """`sector`: a user that would leave its sector stays for the slot and turns round; `none`: users walk on."""
+
+    # Radio
+    carrier_hz: Annotated[float, Field(ge=0.5e9, le=100e9)] = 5e9
+    bandwidth_hz: Positive = 1e6
+    p_max_dbm: Annotated[float, Field(ge=-100, le=100)] = 29.0
+    p_max: Literal["total", "per_user"] = "total"
+    """Constraint 21g: on the sum over users, or on each user's beam."""
+    qos_bps: NonNegative = 200e3
+    sinr: Literal["power", "amplitude"] = "power"
+    """`amplitude` is eq. 13 as printed: amplitudes, interferers added coherently, over a noise power."""
+    noise: Literal["thermal", "total", "density"] = "thermal"
+    """`thermal`: -174 dBm/Hz and the noise figure; `total`: `noise_dbm` in all; `density`: `noise_dbm` per hertz."""
+    noise_figure_db: Annotated[float, Field(ge=0, le=50)] = 7.0
+    noise_dbm: Decibel = -95.0
+    """The paper's table, read by `noise: total` and `density`."""
+
+    # Links
+    path_loss: PathLoss = PathLoss()
+    nlos_height: Literal["user", "uav"] = "user"
+    """z_s of eq. 9: the receiving user's height, or the vehicle's, as printed."""
+    kappa: Annotated[float, Field(ge=0, le=1e6)] = 5.0
+    """Rician factor, linear."""
+    ris_user: Literal["p_los", "nlos", "los"] = "p_los"
+    """Surface to user: line of sight drawn by its probability at the elevation, never, or always."""
+    direct: Literal["on", "blocked"] = "on"
+    direct_extra_db: Decibel = 40.0
+    """Obstruction of the direct link."""
+    ris_gain_db: Decibel = 18.0
+    """Element gain of the surface, once on the cascade."""
+    bs_gain_db: Decibel = 0.0
+    """Sector gain of the base station, on both its links."""
+    array: Literal["planar", "literal"] = "planar"
+    """Phases of the surface by direction cosines in its frame, or eq. 6 as printed."""
+
+    # Vehicle
+    motion: Literal["spherical", "cartesian"] = "spherical"
+    """How a policy's move decodes: (distance, elevation, azimuth), or a vector clipped in its norm."""
+    v_max_mps: Annotated[float, Field(gt=0, le=100)] = 10.0
+    climb_up_mps: Annotated[float, Field(gt=0, le=100)] | None = 3.0
+    climb_down_mps: Annotated[float, Field(gt=0, le=100)] | None = 1.5
+    """None: limited by `v_max_mps` only."""
+    weight_n: Annotated[float, Field(gt=0, le=1e4)] = 25.0
+    induced: Induced = "sqrt"
+    induced_velocity: Literal["consistent", "paper"] = "consistent"
+    """v_i: sqrt(W / (2 rho A)), or the 4.028 m/s printed."""
+    climb: Climb = "nonnegative"
+    v_perp: VPerp = "normal"
+    ris_area: RisArea = "paper"
+    drag_coefficient: NonNegative = 2.1
+
+    # Reward and observation
+    alpha: NonNegative = 1.0
+    """Weight of the fair rate [1 / (Mbit/s)]."""
+    beta: NonNegative = 0.1
+    """Weight of the power, relative to hovering without a panel."""
+    state_norm: Literal["link_reference", "raw"] = "link_reference"
+    """Observations divide each link by the root of its mean gain at the start and positions by the box, or nothing."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for axis, (low, high) in zip("xyz", self.box_enu, strict=True):
+            if not low < high:
+                raise ValueError(f"box_enu: {axis} from {low:g} to {high:g} is empty; the minimum must come first")
+        for axis, value, (low, high) in zip("xyz", self.start_enu, self.box_enu, strict=True):
+            if not low <= value <= high:
+                raise ValueError(f"start_enu: {axis} = {value:g} is outside box_enu ({low:g} to {high:g})")
+        if self.box_enu[2][0] <= self.user_height_m:
+            raise ValueError(
+                f"box_enu: lowest z {self.box_enu[2][0]:g} must be above user_height_m ({self.user_height_m:g})"
+            )
+        if math.dist(self.base_station_enu, self.start_enu) < 1.0:
+            raise ValueError("base_station_enu: must be at least 1 m from start_enu")
+        if not self.user_radius_m[0] < self.user_radius_m[1]:
+            inner, outer = self.user_radius_m
+            raise ValueError(
+                f"user_radius_m: {inner:g} to {outer:g} is empty; the inner radius must be the smaller one"
+            )
+        if self.reflection_users is not None and self.reflection_users > self.users:
+            raise ValueError(f"reflection_users: {self.reflection_users} is more than users ({self.users})")
+        if self.path_loss.bs_user != "paper" and not 1.5 <= self.user_height_m <= 22.5:
+            raise ValueError(
+                f"user_height_m: {self.user_height_m:g} is outside 1.5 to 22.5, what "
+                f"path_loss.bs_user {self.path_loss.bs_user} is valid for"
+            )
+        return self
+
+    @property
+    def elements(self) -> int:
+        """N, the controlled elements of the surface."""
+        return self.rows * self.columns
+
+    @property
+    def reflection_count(self) -> int:
+        """P, the users that start on the reflection side."""
+        return self.users // 2 if self.reflection_users is None else self.reflection_users
+
+    @cached_property
+    def p_max_w(self) -> float:
+        """P_max [W]."""
+        return dbm_to_w(self.p_max_dbm)
+
+    @cached_property
+    def noise_w(self) -> float:
+        """sigma^2 over the whole band [W]."""
+        in_band_db = 10.0 * math.log10(self.bandwidth_hz)
+        if self.noise == "thermal":
+            return dbm_to_w(-174.0 + self.noise_figure_db + in_band_db)
+        return dbm_to_w(self.noise_dbm + (in_band_db if self.noise == "density" else 0.0))
+
+    @cached_property
+    def wavelength_m(self) -> float:
+        """lambda [m]."""
+        return SPEED_OF_LIGHT_MPS / self.carrier_hz
+
+    @cached_property
+    def wing(self) -> RotaryWing:
+        """The vehicle's rotary wing with this scenario's readings of eq. 16."""
+        paper = RotaryWing()
+        consistent = hover_induced_velocity(self.weight_n, paper.air_density, paper.disc_area_m2)
+        return paper._replace(
+            weight_n=self.weight_n,
+            induced=self.induced,
+            induced_velocity_mps=(
+                consistent if self.induced_velocity == "consistent" else PRINTED_INDUCED_VELOCITY_MPS
+            ),
+            climb=self.climb,
+        )
+
+    @cached_property
+    def panel(self) -> Panel:
+        """The surface as the air sees it: all physical elements (eq. 17)."""
+        area = panel_area_m2(
+            self.rows * self.group, self.columns * self.group, self.wavelength_m / self.mu, self.ris_area
+        )
+        return Panel(area_m2=area, drag_coefficient=self.drag_coefficient, v_perp=self.v_perp)
+
+    @cached_property
+    def hover_power_w(self) -> float:
+        """P_hover [W], which the reward measures power by."""
+        return hover_power(self.wing)
+
+
+def dbm_to_w(power_dbm: float) -> float:
+    """Power in watts."""
+    return float(10.0 ** ((power_dbm - 30.0) / 10.0))
+
+
+def make_scenario(fields: Mapping[str, Any]) -> Scenario:
+    """A scenario from its fields, unnamed ones at their defaults. Raises ScenarioError with a one-line text."""
+    try:
+        return Scenario.model_validate(dict(fields))
+    except ValidationError as error:
+        raise ScenarioError("; ".join(_one_line(dict(detail)) for detail in error.errors())) from error
+
+
+def _one_line(detail: dict[str, Any]) -> str:
+    if detail["type"] == "value_error":
+        return str(detail["ctx"]["error"])
+    field = ".".join(str(part) for part in detail["loc"])
+    if detail["type"] == "extra_forbidden":
+        return f"{field}: no such field in a scenario"
+    return f"{field}: {detail['input']!r} is not allowed: {detail['msg']}"
+
+
+_LITERAL: dict[str, Any] = {
+    "rows": 4,
+    "columns": 4,
+    "region": "fixed",
+    "p_max": "per_user",
+    "sinr": "amplitude",
+    "noise": "density",
+    "nlos_height": "uav",
+    "ris_user": "nlos",
+    "direct_extra_db": 0.0,
+    "ris_gain_db": 0.0,
+    "array": "literal",
+    "climb_up_mps": None,
+    "climb_down_mps": None,
+    "induced": "paper",
+    "induced_velocity": "paper",
+    "climb": "signed",
+    "v_perp": "speed",
+}
+
+_SMALL: dict[str, Any] = {"rows": 4, "columns": 4, "group": 4, "ris_gain_db": 42.0, "motion": "cartesian"}
+
+_PROTOTYPE: dict[str, Any] = {
+    **_SMALL,
+    "group": 1,
+    "ris_user": "los",
+    "region": "fixed",
+    "user_centre_enu": (0.0, 50.0),
+    "user_half_angle_rad": 0.45 * math.pi,
+    "user_bounds": "none",
+    "mobility": "directional",
+    "climb_up_mps": None,
+    "climb_down_mps": None,
+    "induced_velocity": "paper",
+    "climb": "signed",
+}
+
+PRESETS: Mapping[str, Scenario] = MappingProxyType(
+    {
+        "paper_literal": Scenario(**_LITERAL),
+        "physical_1km": Scenario(),
+        "physical_small": Scenario(**_SMALL),
+        "prototype_s4": Scenario(**_PROTOTYPE),
+    }
+)
+"""`paper_literal`: near the paper as printed (the surface hardly matters in it). `physical_1km`: sound physics with 256
+elements. `physical_small`: its cheap twin, 16 groups of 4 x 4, for training and the demo. `prototype_s4`: the scenario
+of the design's prototype figures."""
+
+
+def preset(name: str, **overrides: Any) -> Scenario:  # noqa: ANN401 - any field, validated by the scenario
+    """A preset with some fields replaced.
+
+    Raises ScenarioError, in one line, for an unknown preset or field and for values that are not allowed.
+    """
+    if name not in PRESETS:
+        raise ScenarioError(f"preset: {name!r} is not one of {', '.join(PRESETS)}")
+    fields = PRESETS[name].model_dump()
+    if isinstance(overrides.get("path_loss"), Mapping):
+        overrides["path_loss"] = fields["path_loss"] | dict(overrides["path_loss"])
+    return make_scenario(fields | overrides)
