@@ -73,7 +73,7 @@ class Envelope:
         if safe is not gentler:
             blocked = in_the_way(gentler)
             reasons += ["fence"] * bool(blocked[:2].any()) + ["altitude"] * bool(blocked[2])
-        return Sent(safe, tuple(reasons))
+        return Sent(safe, () if np.array_equal(safe, wanted) else tuple(reasons))
 
     def _limit_speed(self, velocity: Vector) -> Vector:
         horizontal = float(np.hypot(velocity[0], velocity[1]))
@@ -93,9 +93,9 @@ def stopping_point(position: Vector, velocity: Vector, deceleration: float, reac
 
 def outside(box: Box, points: Vector) -> NDArray[np.bool_]:
     """Per axis, whether any of the `points` (..., 3) is outside; shape (3,)."""
-    spans = np.array(box.spans)
+    low, high = np.array(box.spans).T
     flat = points.reshape(-1, 3)
-    return np.logical_or(flat.min(axis=0) < spans[:, 0] - 1e-6, flat.max(axis=0) > spans[:, 1] + 1e-6)
+    return np.asarray(((flat < low - 1e-6) | (flat > high + 1e-6)).any(axis=0))
 
 
 def nearest_inside(wanted: Vector, fallback: Vector, in_the_way: Callable[[Vector], NDArray[np.bool_]]) -> Vector:

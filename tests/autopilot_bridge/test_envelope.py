@@ -35,7 +35,7 @@ commands = arrays(float, 3, elements=st.floats(-100, 100) | st.sampled_from([np.
 @given(
     coordinates,
     arrays(float, 3, elements=st.floats(-10, 10)),
-    st.lists(st.tuples(commands, st.integers(1, 30)), min_size=1, max_size=5),
+    st.lists(st.tuples(commands, st.integers(1, 60)), min_size=1, max_size=4),
     st.sampled_from([0.0, 0.3, 0.7]),
 )
 def test_no_command_sequence_leaves_the_fence(position, velocity, sequence, reaction_s):
@@ -50,14 +50,14 @@ def test_no_command_sequence_leaves_the_fence(position, velocity, sequence, reac
             assert FENCE.contains(tuple(position), margin=-0.01)
 
 
-@given(coordinates, arrays(float, 3, elements=st.floats(-3, 3)), commands)
+@given(coordinates, arrays(float, 3, elements=st.floats(-1.5, 1.5)), commands)
 def test_what_is_sent_is_always_flyable(position, velocity, wanted):
     sent = envelope().clip(wanted, position, velocity)
     assert np.isfinite(sent.velocity).all()
     assert np.hypot(*sent.velocity[:2]) <= LIMITS.horizontal_mps + 1e-9
     assert -LIMITS.down_mps - 1e-9 <= sent.velocity[2] <= LIMITS.up_mps + 1e-9
     if "fence" not in sent.reasons and "altitude" not in sent.reasons and "not finite" not in sent.reasons:
-        assert np.linalg.norm(sent.velocity - velocity) <= LIMITS.acceleration_mps2 * RESPONSE_S + 1.6
+        assert np.linalg.norm(sent.velocity - velocity) <= LIMITS.acceleration_mps2 * RESPONSE_S + 1e-9
     assert bool(sent.reasons) == (not np.array_equal(sent.velocity, wanted))
 
 

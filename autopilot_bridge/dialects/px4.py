@@ -1,0 +1,58 @@
+"""PX4, as measured (shared/design/AUTOPILOT.md sections 2 and 4)."""
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from autopilot_bridge.dialects import Dialect
+from autopilot_bridge.vehicle import Mode
+
+AUTO = 4
+
+
+def _custom_mode(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+PX4 = Dialect(
+    name="px4",
+    autopilot=mavlink.MAV_AUTOPILOT_PX4,
+    modes={
+        _custom_mode(1): (Mode.OTHER, "MANUAL"),
+        _custom_mode(2): (Mode.OTHER, "ALTCTL"),
+        _custom_mode(3): (Mode.OTHER, "POSCTL"),
+        _custom_mode(AUTO, 2): (Mode.TAKEOFF, "AUTO.TAKEOFF"),
+        _custom_mode(AUTO, 3): (Mode.HOLD, "AUTO.LOITER"),
+        _custom_mode(AUTO, 4): (Mode.OTHER, "AUTO.MISSION"),
+        _custom_mode(AUTO, 5): (Mode.RETURN, "AUTO.RTL"),
+        _custom_mode(AUTO, 6): (Mode.LAND, "AUTO.LAND"),
+        _custom_mode(5): (Mode.OTHER, "ACRO"),
+        _custom_mode(6): (Mode.OFFBOARD, "OFFBOARD"),
+        _custom_mode(7): (Mode.OTHER, "STABILIZED"),
+    },
+    commands={Mode.HOLD: (AUTO, 3), Mode.RETURN: (AUTO, 5), Mode.LAND: (AUTO, 6), Mode.OFFBOARD: (6, 0)},
+    rates_hz={
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0,  # one per step, and none of those we do not read
+        mavlink.MAVLINK_MSG_ID_ATTITUDE: 20.0,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 1.0,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 1.0,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+        mavlink.MAVLINK_MSG_ID_ODOMETRY: 1.0,
+        mavlink.MAVLINK_MSG_ID_ALTITUDE: 1.0,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 5.0,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
+        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 1.0,
+        mavlink.MAVLINK_MSG_ID_VFR_HUD: 2.0,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+    },
+    stream_before_offboard_s=0.2,
+    lead_s=0.7,
+    reaction_s=0.5,
+    takeoff_altitude="MIS_TAKEOFF_ALT",
+    horizontal_limit="MPC_XY_VEL_MAX",
+    up_limit="MPC_Z_VEL_MAX_UP",
+    down_limit="MPC_Z_VEL_MAX_DN",
+    offboard_loss_action="COM_OBL_RC_ACT",
+    offboard_loss_safe=(3, 4),
+    int_bytewise=True,
+)

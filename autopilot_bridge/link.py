@@ -1,0 +1,226 @@
+"""The bridge's sockets: the MAVLink link with its flight log, and the SITL's control line.
+
+Every MAVLink byte of the bridge goes through here. That is why the log is complete, why frames of other systems are
+sorted out in one place, and where tests inject faults.
+"""
+
+import socket
+import struct
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from autopilot_bridge.config import endpoint, udpin_address
+
+OWN_SYSTEM = 245
+"""Ours; 1 is the vehicle's, 255 the ground station's."""
+RECEIVE_BUFFER = 4 * 1024 * 1024
+"""[bytes] A lockstep step's telemetry waits here whole."""
+
+Tamper = Callable[[bytes], Iterable[bytes]]
+"""What becomes of a datagram on its way: nothing, itself, several, another one."""
+
+
+class LinkError(RuntimeError):
+    """The link cannot be opened or has ended; the text names it."""
+
+
+def untouched(datagram: bytes) -> Iterable[bytes]:
+    """No fault."""
+    return (datagram,)
+
+
+class Link:
+    """MAVLink 2 over the one UDP socket, both directions logged.
+
+    The log is a `.tlog`: per frame 8 bytes of big-endian microseconds since 1970, then the frame. Writes are not
+    buffered, so what was exchanged is in the file even when the process is killed. Time stamps are the wall time of
+    the first telemetry plus vehicle time since, so that a flight in lockstep is logged at its own pace.
+
+    Args: `url` as `udpin://HOST:PORT` (port 0: any free one); `system_id` of the vehicle, all else is logged and
+    ignored; `tlog` the log to write, if any; `tamper_in`, `tamper_out` faults to inject, for tests.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        system_id: int,
+        tlog: Path | None = None,
+        tamper_in: Tamper = untouched,
+        tamper_out: Tamper = untouched,
+    ) -> None:
+        self.url = url
+        self.counters: Counter[str] = Counter()
+        self.datagrams = 0
+        """Datagrams received; in lockstep the SITL says how many to expect."""
+        self._system_id = system_id
+        self._tamper_in, self._tamper_out = tamper_in, tamper_out
+        self._codec: Any = mavlink.MAVLink(
+            None, srcSystem=OWN_SYSTEM, srcComponent=mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
+        )
+        self._peer: tuple[str, int] | None = None
+        self._opened_us = time.time_ns() // 1000
+        self._vehicle_time_s: Callable[[], float] = lambda: 0.0
+        host, port = udpin_address(url)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"autopilot {url}: cannot listen there: {error.strerror}") from error
+        try:
+            self._log = tlog.open("wb", buffering=0) if tlog is not None else None
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"flight log {tlog}: cannot be written: {error.strerror}") from error
+
+    @property
+    def port(self) -> int:
+        """The UDP port listened on."""
+        port: int = self._socket.getsockname()[1]
+        return port
+
+    def stamp_by(self, vehicle_time_s: Callable[[], float]) -> None:
+        """Stamp the log by this clock from now on, starting at the wall time of now."""
+        start_s = vehicle_time_s()
+        self._opened_us = time.time_ns() // 1000
+        self._vehicle_time_s = lambda: vehicle_time_s() - start_s
+
+    def send(self, message: Any) -> None:  # noqa: ANN401  pymavlink has no types
+        """Send a message to the vehicle; before its first frame there is nobody to send to, and it is dropped."""
+        if self._peer is None:
+            self.counters["sent_to_nobody"] += 1
+            return
+        frame = bytes(message.pack(self._codec))
+        self._codec.seq = (self._codec.seq + 1) % 256
+        self.counters["frames_out"] += 1
+        self._write(frame)
+        for datagram in self._tamper_out(frame):
+            try:
+                self._socket.sendto(datagram, self._peer)
+            except OSError:
+                self.counters["send_failed"] += 1
+
+    def receive(self, timeout_s: float) -> list[Any]:
+        """The vehicle's messages that have come; waits up to `timeout_s` for the first datagram, for none after it."""
+        messages: list[Any] = []
+        self._socket.settimeout(max(timeout_s, 1e-4))
+        while True:
+            try:
+                datagram, sender = self._socket.recvfrom(65536)
+            except (TimeoutError, BlockingIOError):
+                return messages
+            self._socket.settimeout(0)
+            self.datagrams += 1
+            for arrived in self._tamper_in(datagram):
+                messages.extend(self._decode(arrived, sender))
+
+    def close(self) -> None:
+        self._socket.close()
+        if self._log is not None:
+            self._log.close()
+
+    def _decode(self, datagram: bytes, sender: tuple[str, int]) -> Iterator[Any]:
+        understood = 0
+        for frame in frames(datagram):
+            understood += len(frame)
+            self.counters["frames_in"] += 1
+            self._write(frame)
+            try:
+                message = self._codec.decode(bytearray(frame))
+            except (mavlink.MAVError, struct.error):
+                self.counters["bad_data"] += 1
+                continue
+            if message.get_srcSystem() != self._system_id or (
+                message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1
+            ):
+                self.counters["foreign"] += 1
+                continue
+            self._peer = sender
+            yield message
+        if understood < len(datagram):
+            self.counters["bad_data"] += 1
+
+    def _write(self, frame: bytes) -> None:
+        if self._log is None:
+            return
+        stamp = self._opened_us + round(self._vehicle_time_s() * 1e6)
+        try:
+            self._log.write(struct.pack(">Q", stamp) + frame)
+        except OSError:
+            self.counters["log_failed"] += 1  # a full disk must not take the vehicle down with it
+
+
+def frames(data: bytes) -> Iterator[bytes]:
+    """The MAVLink 1 and 2 frames of a datagram; what follows an incomplete or unknown start is left."""
+    start = 0
+    while start + 8 <= len(data):
+        if data[start] == 0xFD and start + 12 <= len(data):
+            size = 12 + data[start + 1] + (13 if data[start + 2] & mavlink.MAVLINK_IFLAG_SIGNED else 0)
+        elif data[start] == 0xFE:
+            size = 8 + data[start + 1]
+        else:
+            return
+        if start + size > len(data):
+            return
+        yield data[start : start + size]
+        start += size
+
+
+class ControlLine:
+    """The SITL's control socket: one request, one answer line (docs/architecture.md).
+
+    Raises LinkError when the SITL does not answer within `timeout_s` of wall clock, or answers nonsense.
+    """
+
+    def __init__(self, control: str, timeout_s: float = 5.0) -> None:
+        self._name = control
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                self._socket = socket.create_connection(endpoint(control), timeout=timeout_s)
+                break
+            except ConnectionRefusedError as error:
+                if time.monotonic() > deadline:  # a SITL that was started with us may take a moment
+                    raise LinkError(f"control {control}: nobody listens there") from error
+                time.sleep(0.05)
+            except OSError as error:
+                raise LinkError(f"control {control}: {error}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._answers = self._socket.makefile("r", encoding="utf-8", newline="\n")
+
+    def hello(self) -> float:
+        """Vehicle time [s]."""
+        name, version, time_ms = self._ask("hello", words=3, first="aerialstar-sitl")
+        if version != "1":
+            raise LinkError(f"control {self._name}: {name} speaks version {version}, we speak 1")
+        return int(time_ms) / 1000
+
+    def advance(self, step_ms: int) -> tuple[float, int]:
+        """Let `step_ms` pass; vehicle time [s] after it and the number of datagrams sent to us."""
+        _, time_ms, sent = self._ask(f"advance {step_ms}", words=3, first="advanced")
+        return int(time_ms) / 1000, int(sent)
+
+    def quit(self) -> None:
+        """End the SITL."""
+        self._ask("quit", words=1, first="bye")
+
+    def close(self) -> None:
+        self._answers.close()
+        self._socket.close()
+
+    def _ask(self, request: str, words: int, first: str) -> list[str]:
+        try:
+            self._socket.sendall(f"{request}\n".encode())
+            answer = self._answers.readline()
+        except OSError as error:
+            raise LinkError(f"control {self._name}: no answer to {request!r}: {error}") from error
+        parts = answer.split()
+        if len(parts) != words or parts[0] != first:
+            raise LinkError(f"control {self._name}: {request!r} was answered {answer.strip() or 'by hanging up'!r}")
+        return parts

@@ -1,0 +1,141 @@
+"""What the bridge wants from a vehicle, whatever library and autopilot are behind it.
+
+All calls come from one thread. Calls that take time (`connect` to `set_parameter`) call the `wait` they were built
+with again and again: it lets one step of vehicle time pass, with everything that must not stop meanwhile (setpoints,
+heartbeats, telemetry), and may raise to abandon the call.
+"""
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from airframe.slot_profile import Vector
+
+
+class Mode(StrEnum):
+    """Flight modes the bridge acts on; every other one is somebody else's."""
+
+    HOLD = "HOLD"
+    TAKEOFF = "TAKEOFF"
+    OFFBOARD = "OFFBOARD"
+    RETURN = "RETURN"
+    LAND = "LAND"
+    OTHER = "OTHER"
+
+
+class VehicleError(RuntimeError):
+    """The vehicle cannot do what was asked; the text says what was asked and what it answered."""
+
+
+class SilentError(VehicleError):
+    """Nothing has come from the autopilot for too long."""
+
+
+class RefusedError(VehicleError):
+    """The autopilot said no; the text carries its STATUSTEXT."""
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """The newest of everything that the autopilot has told."""
+
+    time_s: float = 0.0
+    """Vehicle time of position and velocity."""
+    position_enu: Vector | None = None
+    """About home [m]; None until there is an estimate."""
+    velocity_enu: Vector | None = None
+    attitude_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Roll, pitch as MAVLink's ATTITUDE; yaw in ENU."""
+    mode: Mode = Mode.OTHER
+    mode_name: str = "unknown"
+    """As the autopilot calls it."""
+    armed: bool = False
+    landed: bool = True
+    armable: bool = False
+    battery_remaining: float | None = None
+    """0 to 1."""
+    home_lat_lon_alt: tuple[float, float, float] | None = None
+    """Degrees, degrees, metres above mean sea level."""
+
+    def at(self, time_s: float) -> tuple[Vector, Vector]:
+        """Position and velocity carried on to vehicle time `time_s`, over 0.1 s at most. Raises VehicleError."""
+        if self.position_enu is None or self.velocity_enu is None:
+            raise VehicleError("the autopilot gives no local position")
+        ahead = float(np.clip(time_s - self.time_s, 0.0, 0.1))
+        return self.position_enu + self.velocity_enu * ahead, self.velocity_enu
+
+
+class Vehicle(ABC):
+    """One vehicle over one link."""
+
+    counters: Counter[str]
+
+    @property
+    @abstractmethod
+    def telemetry(self) -> Telemetry:
+        """The newest state."""
+
+    @property
+    @abstractmethod
+    def silence_s(self) -> float:
+        """Wall-clock seconds since the last word of the autopilot."""
+
+    @property
+    @abstractmethod
+    def frames_received(self) -> int:
+        """Datagrams that have arrived, so that a lockstep clock knows when a step's telemetry is complete."""
+
+    @abstractmethod
+    def poll(self, timeout_s: float) -> None:
+        """Take in what has arrived; wait for something at most `timeout_s` of wall clock."""
+
+    @abstractmethod
+    def beat(self) -> None:
+        """Send what must be sent once a second of vehicle time (our HEARTBEAT)."""
+
+    @abstractmethod
+    def status_texts(self) -> list[str]:
+        """STATUSTEXT since the last call."""
+
+    @abstractmethod
+    def send_velocity(self, velocity_enu: Vector, yaw_enu: float) -> None:
+        """Put one velocity setpoint on the wire [m/s, rad]. Only the envelope calls this."""
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Wait for the autopilot and ask for the telemetry we need. Raises SilentError."""
+
+    @abstractmethod
+    def await_armable(self) -> None:
+        """Wait until the autopilot's own checks pass. Raises RefusedError with its reasons."""
+
+    @abstractmethod
+    def arm(self) -> None:
+        """Arm, and from now on count positions from this home. Raises RefusedError with the STATUSTEXT."""
+
+    @abstractmethod
+    def disarm(self) -> None:
+        """Disarm on the ground. Raises RefusedError."""
+
+    @abstractmethod
+    def takeoff(self, altitude_m: float) -> None:
+        """Climb to `altitude_m` above home and hover there; returns once there. Raises VehicleError."""
+
+    @abstractmethod
+    def set_mode(self, mode: Mode) -> None:
+        """Change mode, confirmed by telemetry. For OFFBOARD setpoints must already stream. Raises RefusedError."""
+
+    @abstractmethod
+    def parameter(self, name: str) -> float:
+        """An autopilot parameter. Raises VehicleError when it is unknown."""
+
+    @abstractmethod
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a parameter, confirmed by its echo. Raises VehicleError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the link."""
