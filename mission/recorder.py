@@ -1,0 +1,120 @@
+"""Every bus message of one vehicle, as it came, into `flight.mcap`.
+
+The file is written by foxglove-sdk with a chunk for every message over an unbuffered file: a chunk is whole on disk as
+soon as the next message comes, so a killed process loses one message at most, and Foxglove still finds its index.
+"""
+
+import time
+from pathlib import Path
+from types import TracebackType
+
+import foxglove
+import msgspec
+import zenoh
+from foxglove.mcap import MCAPWriteOptions
+
+from bus.messages import Command, CommandReply, Message
+from bus.topics import COMMAND, TOPICS, encode, encoding, key
+from mission.json_schema import json_schema
+
+MESSAGES: tuple[type[Message], ...] = (*(topic.message for topic in TOPICS), Command, CommandReply)
+BY_ENCODING = {str(encoding(message)): message for message in MESSAGES}
+
+
+class _File:
+    """What foxglove-sdk writes to; keeps the first error, which the SDK would only print."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("xb", buffering=0)
+        self.error: OSError | None = None
+
+    def write(self, data: bytes | bytearray) -> int:
+        try:
+            return self._file.write(data)
+        except OSError as error:
+            self.error = error
+            raise
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._file.seek(offset, whence)
+
+    def flush(self) -> None:
+        """Nothing is buffered."""
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Recorder:
+    """Records `star/<vehicle>/**` from construction until `close` (or the end of the `with` block).
+
+    `log_time` is the wall clock at receipt. A message of unknown encoding is kept too, without a schema.
+    Raises OSError when the file cannot be made (it must not exist).
+    """
+
+    def __init__(self, session: zenoh.Session, vehicle: str, path: Path) -> None:
+        self._vehicle = vehicle
+        self._file = _File(path)
+        self._context = foxglove.Context()
+        self._writer = foxglove.open_mcap(
+            self._file,
+            context=self._context,
+            writer_options=MCAPWriteOptions(chunk_size=1, compression_threads=0),
+        )
+        self._channels: dict[tuple[str, str], foxglove.Channel] = {}
+        self._subscriber = session.declare_subscriber(key(vehicle, "**"), self._on_sample)
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def error(self) -> OSError | None:
+        """Why recording stopped (e.g. the disk is full), or None."""
+        return self._file.error
+
+    def command(self, message: Command | CommandReply) -> None:
+        """Record a command (as `command`) or its reply (as `command/reply`): queries do not pass a subscriber."""
+        topic = COMMAND if isinstance(message, Command) else f"{COMMAND}/reply"
+        self._write(key(self._vehicle, topic), str(encoding(type(message))), encode(message))
+
+    def close(self) -> None:
+        """Stop and write the index. Does nothing the second time."""
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh gives no types here
+        try:
+            self._writer.close()
+        except RuntimeError:
+            if self._file.error is None:
+                raise
+        self._file.close()
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        self._write(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
+
+    def _write(self, keyexpr: str, wire_encoding: str, payload: bytes) -> None:
+        if self._file.error is None:
+            self._channel(keyexpr, wire_encoding).log(payload, log_time=time.time_ns())
+
+    def _channel(self, keyexpr: str, wire_encoding: str) -> foxglove.Channel:
+        channel = self._channels.get((keyexpr, wire_encoding))
+        if channel is None:
+            channel = foxglove.Channel(
+                keyexpr,
+                schema=_schema(wire_encoding),
+                message_encoding="json" if wire_encoding.startswith("application/json") else wire_encoding,
+                context=self._context,
+            )
+            self._channels[keyexpr, wire_encoding] = channel
+        return channel
+
+
+def _schema(wire_encoding: str) -> foxglove.Schema:
+    message = BY_ENCODING.get(wire_encoding)
+    if message is None:
+        return foxglove.Schema(name=wire_encoding, encoding="", data=b"")
+    name = wire_encoding.rsplit(";", 1)[-1]
+    return foxglove.Schema(name=name, encoding="jsonschema", data=msgspec.json.encode(json_schema(message)))
