@@ -27,6 +27,8 @@ from airframe.power import (
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 PRINTED_INDUCED_VELOCITY_MPS = 4.028
+TALLEST_USER_M = {"tr38901_umi": 22.5, "tr38901_uma": 13.0}
+"""Validity of TR 38.901 table 7.4.1-1; UMa's effective environment height is random from 13 m on (note 1)."""
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -182,9 +184,10 @@ class Scenario(_Frozen):
             )
         if self.reflection_users is not None and self.reflection_users > self.users:
             raise ValueError(f"reflection_users: {self.reflection_users} is more than users ({self.users})")
-        if self.path_loss.bs_user != "paper" and not 1.5 <= self.user_height_m <= 22.5:
+        tallest = TALLEST_USER_M.get(self.path_loss.bs_user)
+        if tallest is not None and not 1.5 <= self.user_height_m <= tallest:
             raise ValueError(
-                f"user_height_m: {self.user_height_m:g} is outside 1.5 to 22.5, what "
+                f"user_height_m: {self.user_height_m:g} is outside 1.5 to {tallest:g}, what "
                 f"path_loss.bs_user {self.path_loss.bs_user} is valid for"
             )
         return self
@@ -292,6 +295,7 @@ _SMALL: dict[str, Any] = {"rows": 4, "columns": 4, "group": 4, "ris_gain_db": 42
 _PROTOTYPE: dict[str, Any] = {
     **_SMALL,
     "group": 1,
+    "motion": "spherical",
     "ris_user": "los",
     "region": "fixed",
     "user_centre_enu": (0.0, 50.0),

@@ -1,0 +1,79 @@
+"""Coupled transmission and reflection coefficients (TRC) of an energy-splitting STAR-RIS (paper eq. 1, 2, 21)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+ANGLE_TOLERANCE_RAD = 1e-6
+"""Float32 rounds pi up; nothing finer than this is told apart at the limits."""
+
+
+class TrcError(ValueError):
+    """Coefficients that no passive coupled surface can have; the text names the field."""
+
+
+@dataclass(frozen=True)
+class Trc:
+    """Coupled coefficients of N elements, feasible for any angles: each field is [..., N]."""
+
+    theta_reflection: Tensor
+    """[rad]"""
+    split_angle: Tensor
+    """x [rad] in [0, pi/2]: beta_R = sin x, beta_T = cos x, so that no element gives energy away."""
+    sign: Tensor
+    """-1 or +1: theta_T = theta_R + sign pi/2."""
+
+    @property
+    def theta_transmission(self) -> Tensor:
+        """theta_T [rad] in [-pi, pi) (eq. 1, 32)."""
+        turned = self.theta_reflection + self.sign * (math.pi / 2) + math.pi
+        wrapped = torch.remainder(turned, 2 * math.pi) - math.pi
+        return torch.where(wrapped >= math.pi, wrapped - 2 * math.pi, wrapped)
+
+    @property
+    def beta_reflection(self) -> Tensor:
+        """Amplitude on the reflection side, sin x."""
+        return torch.sin(self.split_angle)
+
+    @property
+    def beta_transmission(self) -> Tensor:
+        """Amplitude on the transmission side, cos x."""
+        return torch.cos(self.split_angle)
+
+    def coefficients(self) -> tuple[Tensor, Tensor]:
+        """Diagonals of Phi_R and Phi_T (eq. 2), complex [..., N]."""
+        phasor = torch.complex(torch.cos(self.theta_reflection), torch.sin(self.theta_reflection))
+        quarter_turn = torch.complex(torch.zeros_like(self.sign), self.sign)
+        return phasor * self.beta_reflection, phasor * quarter_turn * self.beta_transmission
+
+
+def neutral_trc(elements: int, dtype: torch.dtype) -> Trc:
+    """All phases zero, energy split evenly, signs +1: what a surface shows before anyone configured it."""
+    return Trc(
+        theta_reflection=torch.zeros(elements, dtype=dtype),
+        split_angle=torch.full((elements,), math.pi / 4, dtype=dtype),
+        sign=torch.ones(elements, dtype=dtype),
+    )
+
+
+def check_trc(trc: Trc, elements: int) -> None:
+    """Raise TrcError unless every field is [..., N], finite and within its range (eq. 21b to 21f)."""
+    limits = {
+        "theta_reflection": (-math.pi, math.pi, "[-pi, pi]"),
+        "split_angle": (0.0, math.pi / 2, "[0, pi/2]"),
+    }
+    for name in ("theta_reflection", "split_angle", "sign"):
+        values: Tensor = getattr(trc, name)
+        if values.shape[-1:] != (elements,):
+            raise TrcError(f"{name}: shape {list(values.shape)}, the surface has {elements} elements")
+        if not torch.isfinite(values).all():
+            raise TrcError(f"{name}: not finite")
+    for name, (low, high, allowed) in limits.items():
+        values = getattr(trc, name)
+        outside = (values < low - ANGLE_TOLERANCE_RAD) | (values > high + ANGLE_TOLERANCE_RAD)
+        if outside.any():
+            raise TrcError(f"{name}: {values[outside][0].item():g} is outside {allowed}")
+    if not (trc.sign.abs() == 1).all():
+        raise TrcError("sign: must be -1 or 1")

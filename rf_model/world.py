@@ -1,0 +1,100 @@
+"""What the training environment and the rf node ask of the radio model in a slot."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from airframe.power import total_power
+from rf_model.channels import Channels, line_of_sight_probability, link_gains
+from rf_model.fairness import fair_rate_bps, hfi, jfi
+from rf_model.geometry import offset_and_distance
+from rf_model.link import effective_channel, rate_bps, sinr
+from rf_model.scenario import Scenario
+from rf_model.star_ris import Trc
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the users get in a slot, with leading batch dimensions `...`."""
+
+    sinr: Tensor
+    """[..., J]"""
+    rate_bps: Tensor
+    """[..., J]"""
+    sum_rate_bps: Tensor
+    """[...]"""
+    fair_rate_bps: Tensor
+    """[...] HFI times the sum rate."""
+    hfi: Tensor
+    """[...]"""
+    jfi: Tensor
+    """[...]"""
+
+
+@dataclass(frozen=True)
+class ReferenceGains:
+    """One amplitude for each kind of link: the root of its mean power gain at the start position."""
+
+    direct: float
+    bs_ris: float
+    ris_user: float
+
+
+def slot_rates(scenario: Scenario, channels: Channels, trc: Trc, beamforming: Tensor) -> Rates:
+    """Rates for channels and TRCs [..., N] of one batch shape and beamforming [..., M, J] (eq. 12-14)."""
+    received = effective_channel(channels, trc) @ beamforming
+    ratio = sinr(received, scenario.noise_w, scenario.sinr)
+    rate = rate_bps(ratio, scenario.bandwidth_hz)
+    return Rates(
+        sinr=ratio,
+        rate_bps=rate,
+        sum_rate_bps=rate.sum(-1),
+        fair_rate_bps=fair_rate_bps(rate),
+        hfi=hfi(rate),
+        jfi=jfi(rate),
+    )
+
+
+def slot_power(scenario: Scenario, velocity_enu: Tensor, yaw_rad: Tensor) -> Tensor:
+    """Total power (eq. 19) [W], [...], at a velocity [..., 3] with the panel's normal at yaw [...]."""
+    x, y, z = velocity_enu.unbind(-1)
+    return total_power(scenario.wing, scenario.panel, x, y, z, torch.cos(yaw_rad), torch.sin(yaw_rad))
+
+
+def reference_gains(scenario: Scenario) -> ReferenceGains:
+    """Root mean power gain of each link, the vehicle at its start and users all over their sectors (`state_norm`).
+
+    Averaged over a fixed grid of equal areas, so that it is a constant of the scenario; a blocked direct link counts as
+    if it were on.
+    """
+    start = torch.tensor(scenario.start_enu, dtype=torch.float64)
+    users = _user_grid(scenario)
+    gains = link_gains(scenario, start, users)
+    if scenario.ris_user == "los":
+        ris_user = gains.ris_user**2
+    elif scenario.ris_user == "nlos":
+        ris_user = gains.ris_user_blocked**2
+    else:
+        offset, distance = offset_and_distance(start, users)
+        clear = line_of_sight_probability(-offset[..., 2] / distance)
+        ris_user = clear * gains.ris_user**2 + (1 - clear) * gains.ris_user_blocked**2
+    return ReferenceGains(
+        direct=math.sqrt((gains.direct**2).mean().item()),
+        bs_ris=gains.bs_ris.item(),
+        ris_user=math.sqrt(ris_user.mean().item()),
+    )
+
+
+def _user_grid(scenario: Scenario, radii: int = 16, angles: int = 16) -> Tensor:
+    """Midpoints of equal areas of both sectors [2 * radii * angles, 3]."""
+    inner, outer = scenario.user_radius_m
+    fraction = (torch.arange(radii, dtype=torch.float64) + 0.5) / radii
+    radius = (inner**2 + fraction * (outer**2 - inner**2)).sqrt()
+    spread = ((torch.arange(angles, dtype=torch.float64) + 0.5) / angles * 2 - 1) * scenario.user_half_angle_rad
+    heading = scenario.panel_heading_rad
+    angle = torch.cat((heading + spread, heading + math.pi + spread))
+    x = scenario.user_centre_enu[0] + radius[:, None] * torch.cos(angle)
+    y = scenario.user_centre_enu[1] + radius[:, None] * torch.sin(angle)
+    return torch.stack((x, y, torch.full_like(x, scenario.user_height_m)), dim=-1).flatten(0, 1)
