@@ -18,7 +18,6 @@ from safetensors.numpy import save_file
 from agent.training_config import TrainingConfig
 from rf_model.scenario import Scenario
 
-FORMAT = "aerialstar-daddpg-1"
 LIBRARIES = ("aerial-star", "numpy", "torch", "safetensors")
 
 
@@ -31,7 +30,7 @@ class Metadata(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    format: Literal["aerialstar-daddpg-1"] = FORMAT
+    format: Literal["aerialstar-daddpg-1"] = "aerialstar-daddpg-1"
     elements: int
     """N"""
     antennas: int
@@ -120,5 +119,5 @@ def _read(path: Path, *, weights: bool) -> Checkpoint:
         metadata = Metadata.model_validate(json.loads(text))
     except (ValidationError, json.JSONDecodeError) as error:
         first = str(error).splitlines()[0]
-        raise CheckpointError(f"checkpoint {path}: its metadata is not that of format {FORMAT} ({first})") from error
+        raise CheckpointError(f"checkpoint {path}: its metadata is not what it should be ({first})") from error
     return Checkpoint(metadata, arrays)

@@ -72,8 +72,11 @@ class DualActorDdpg:
                 dim=-1,
             )
 
-    def update(self, batch: Batch) -> Losses:
-        """One step of the critic, of both actors and of the targets on a batch from replay."""
+    def update(self, batch: Batch, cloning: float = 0.0) -> Losses:
+        """One step of the critic, of both actors and of the targets on a batch from replay.
+
+        `cloning` > 0 adds the imitation loss to the actors', with this weight relative to |Q|, for learning offline.
+        """
         config = self.config
         continuous = batch.action[:, : self.sizes.continuous]
         discrete = batch.action[:, self.sizes.continuous :]
@@ -109,10 +112,16 @@ class DualActorDdpg:
             value_continuous = self.critic(batch.observation, torch.cat([own_continuous, own_discrete], dim=-1))
             value_discrete = value_continuous
             value = value_continuous.mean()
-        saturation = pre_continuous.square().mean() + pre_discrete.square().mean()
+        actor_loss = -value + config.saturation_penalty * (
+            pre_continuous.square().mean() + pre_discrete.square().mean()
+        )
+        if cloning > 0:
+            actor_loss = actor_loss + cloning * value.abs().detach() * imitation(
+                pre_continuous, pre_discrete, continuous, discrete
+            )
         self.continuous_optimiser.zero_grad(set_to_none=True)
         self.discrete_optimiser.zero_grad(set_to_none=True)
-        torch.autograd.backward(config.saturation_penalty * saturation - value)
+        torch.autograd.backward(actor_loss)
         self.continuous_optimiser.step()
         self.discrete_optimiser.step()
         self.critic.requires_grad_(True)
@@ -125,6 +134,25 @@ class DualActorDdpg:
             discrete_actor=-value_discrete.detach().mean(),
             q=q.detach().mean(),
         )
+
+    def clone(self, batch: Batch) -> Tensor:
+        """One step of both actors towards the executed actions; returns the loss. The targets follow."""
+        self.continuous_actor.train()
+        self.discrete_actor.train()
+        loss = imitation(
+            self.continuous_actor.pre_tanh(batch.observation),
+            self.discrete_actor.pre_tanh(batch.observation),
+            batch.action[:, : self.sizes.continuous],
+            batch.action[:, self.sizes.continuous :],
+        )
+        self.continuous_optimiser.zero_grad(set_to_none=True)
+        self.discrete_optimiser.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        self.continuous_optimiser.step()
+        self.discrete_optimiser.step()
+        for target_network, network in self._pairs():
+            soft_update(target_network, network, self.config.soft_update)
+        return loss.detach()
 
     def modules(self) -> dict[str, nn.Module]:
         """All networks by name."""
@@ -151,6 +179,12 @@ class DualActorDdpg:
             (self.target_discrete_actor, self.discrete_actor),
             (self.target_critic, self.critic),
         ]
+
+
+def imitation(pre_continuous: Tensor, pre_discrete: Tensor, continuous: Tensor, discrete: Tensor) -> Tensor:
+    """Cloning loss: squared error of the continuous half, logistic loss of the signs (tanh z = 2 sigmoid(2z) - 1)."""
+    error = functional.mse_loss(torch.tanh(pre_continuous), continuous)
+    return error + functional.soft_margin_loss(2 * pre_discrete, discrete)
 
 
 def soft_update(target: nn.Module, source: nn.Module, tau: float) -> None:

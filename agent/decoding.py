@@ -62,7 +62,9 @@ def decode(raw: Tensor, scenario: Scenario) -> PhysicalAction:
     """
     require_finite(raw, scenario)
     elements, antennas, users = scenario.elements, scenario.antennas, scenario.users
-    motion, theta, split, beams, discrete = raw.split([3, elements, elements, 2 * antennas * users, elements], dim=-1)
+    motion, theta, split, beams, discrete = torch.split(
+        raw, [3, elements, elements, 2 * antennas * users, elements], dim=-1
+    )
     below = 1 - 2 * torch.finfo(raw.dtype).eps
     return PhysicalAction(
         displacement_enu=_displacement(motion.clip(-1, 1), scenario),
@@ -91,7 +93,7 @@ def _displacement(motion: Tensor, scenario: Scenario) -> Tensor:
 
 def _beamforming(beams: Tensor, scenario: Scenario) -> Tensor:
     """[..., 2MJ] in [-1, 1] to W [..., M, J] of full power, over all users or for each (constraint 21g)."""
-    parts = beams.unflatten(-1, (scenario.antennas, scenario.users, 2))
+    parts = beams.reshape(*beams.shape[:-1], scenario.antennas, scenario.users, 2)
     within = (-3, -2, -1) if scenario.p_max == "total" else (-3, -1)
     largest = parts.abs().amax(dim=within, keepdim=True).clip(min=1e-12)
     unit = parts / largest  # squares of what is left neither overflow nor vanish

@@ -57,6 +57,13 @@ class TrainingConfig(BaseModel):
     decay_fraction: Fraction = 0.6
     """Noise and epsilon reach their last value after this part of the run."""
 
+    clone_updates: Annotated[int, Field(ge=0)] = 2000
+    """Offline: updates of behaviour cloning first."""
+    offline_updates: Annotated[int, Field(ge=0)] = 4000
+    """Offline: DA-DDPG updates after that."""
+    cloning: NonNegative = 1.0
+    """Offline: weight of the cloning loss in those, relative to |Q|."""
+
     evaluate_every: Count = 1500
     """Episodes between evaluations."""
     evaluation_episodes: Count = 128

@@ -1,0 +1,84 @@
+"""The state of paper eq. 22: one function for environment, flight and data sets."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bus.messages import ChannelState
+from rf_model.channels import Channels
+from rf_model.scenario import Scenario
+from rf_model.world import reference_gains
+
+
+class ObservationError(ValueError):
+    """A channel state that is not of the scenario's sizes; the text names the field."""
+
+
+@dataclass(frozen=True)
+class Normalisation:
+    """What `state_norm` divides by: constants of a scenario."""
+
+    centre: Tensor
+    """[3] m"""
+    half_size: Tensor
+    """[3] m: half the box's edges."""
+    bs_ris: float
+    direct: float
+    ris_user: float
+    """Root mean gains of the links."""
+    sizes: tuple[int, int, int]
+    """N, M, J"""
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Normalisation":
+        sizes = (scenario.elements, scenario.antennas, scenario.users)
+        if scenario.state_norm == "raw":
+            return cls(torch.zeros(3), torch.ones(3), 1.0, 1.0, 1.0, sizes)
+        low, high = torch.tensor(scenario.box_enu).unbind(-1)
+        gains = reference_gains(scenario)
+        return cls((low + high) / 2, (high - low) / 2, gains.bs_ris, gains.direct, gains.ris_user, sizes)
+
+
+def state_size(scenario: Scenario) -> int:
+    """3 + 2MN + 2MJ + 2NJ (paper, above eq. 22)."""
+    elements, antennas, users = scenario.elements, scenario.antennas, scenario.users
+    return 3 + 2 * (antennas * elements + antennas * users + elements * users)
+
+
+def observe(position_enu: Tensor, channels: Channels, normalisation: Normalisation) -> Tensor:
+    """State [..., 3 + 2MN + 2MJ + 2NJ] of positions [..., 3] and channels, float32.
+
+    In this order: position; H [N, M]; h_b [J, M]; h_s [J, N]; each complex number as (re, im), users in their order in
+    the scenario (those that start in the reflection region come first, as in eq. 22).
+    """
+    parts = [
+        (position_enu - normalisation.centre) / normalisation.half_size,
+        _flat(channels.bs_ris) / normalisation.bs_ris,
+        _flat(channels.direct) / normalisation.direct,
+        _flat(channels.ris_user) / normalisation.ris_user,
+    ]
+    return torch.cat([part.to(torch.float32) for part in parts], dim=-1)
+
+
+def observe_message(message: ChannelState, normalisation: Normalisation) -> Tensor:
+    """State [S] of a message on the bus. Raises ObservationError when its sizes are not the scenario's."""
+    elements, antennas, users = normalisation.sizes
+    channels = Channels(
+        direct=_complex("direct", message.direct, (users, antennas)),
+        bs_ris=_complex("bs_ris", message.bs_ris, (elements, antennas)),
+        ris_user=_complex("ris_user", message.ris_user, (users, elements)),
+        transmission=torch.tensor([region == "transmission" for region in message.regions]),
+    )
+    return observe(torch.tensor(message.position_enu, dtype=torch.float64), channels, normalisation)
+
+
+def _flat(values: Tensor) -> Tensor:
+    return torch.view_as_real(values).flatten(-3)
+
+
+def _complex(name: str, rows: list[list[tuple[float, float]]], shape: tuple[int, int]) -> Tensor:
+    if len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
+        got = f"{len(rows)} x {len(rows[0]) if rows else 0}"
+        raise ObservationError(f"{name}: {got} numbers, the scenario has {shape[0]} x {shape[1]}")
+    return torch.view_as_complex(torch.tensor(rows, dtype=torch.float64))
