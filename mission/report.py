@@ -1,0 +1,196 @@
+"""What a flight came to, from its run folder alone: `report.json`, the table and the picture."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from bus import topics
+from bus.messages import LinkReport, Vec3
+from mission.flight_log import FlightLog, read
+from mission.mission_file import Mission, load
+
+FILE_NAME = "report.json"
+PICTURE_NAME = "report.png"
+
+
+class User(msgspec.Struct, frozen=True):
+    """One user over the flight."""
+
+    region: str
+    """Side of the panel at the first slot."""
+    mean_rate_bps: float
+    below_qos: float
+    """Share of the slots with less than the QoS rate, 0 to 1."""
+
+
+class Displacement(msgspec.Struct, frozen=True):
+    """Sum over the slots of the length of each slot's displacement [m]."""
+
+    commanded_m: float
+    planned_m: float
+    flown_m: float
+
+
+class Report(msgspec.Struct, frozen=True):
+    """Means are over the slots that were reported."""
+
+    mission: str
+    seed: int | None
+    vehicle: str
+    exit_code: int | None
+    """What the bridge ended with; None when it never said."""
+    ended: str
+    """The bridge's last words."""
+    slots: int
+    slots_planned: int
+    users: list[User]
+    qos_bps: float
+    hfi: float
+    """Mean harmonic fairness index."""
+    jfi: float
+    """Mean Jain's fairness index."""
+    sum_rate_bps: float
+    """Mean over the slots."""
+    energy_j: float
+    power_w: float
+    """Mean over the slots."""
+    efficiency_bit_per_j: float
+    """Sum of the rates over sum of the power."""
+    reward: float
+    """Sum over the slots."""
+    displacement: Displacement
+    actions: dict[str, int]
+    """Slots by what became of their action: flown, clipped, late, missing, rejected."""
+    configurations: dict[str, int]
+    """Slots by where the surface's configuration came from: action, held, default."""
+    restarts: int
+    """Nodes that came back after they were lost."""
+    log_complete: bool
+    log_lost_bytes: int
+
+
+def summarise(run: Path, log: FlightLog, mission: Mission | None) -> Report:
+    """Compute the report of a recorded flight; every number is 0 when no slot was flown."""
+    links = [report for _, report in sorted(log.by_slot(topics.LINK).items())]
+    opened = log.by_slot(topics.SLOT)
+    flown = [slot.flown for slot in opened.values() if slot.flown is not None]
+    events = log.messages(topics.EVENT)
+    ends = [event for event in events if event.kind == "ended"]
+    return Report(
+        mission=mission.name if mission else run.resolve().name,
+        seed=mission.seed if mission else None,
+        vehicle=log.vehicle,
+        exit_code=ends[-1].exit_code if ends else None,
+        ended=ends[-1].text if ends else "the log holds no end of the flight",
+        slots=len(links),
+        slots_planned=max((slot.slots for slot in opened.values()), default=0),
+        users=_users(links),
+        qos_bps=links[0].qos_bps if links else 0.0,
+        hfi=_mean(link.hfi for link in links),
+        jfi=_mean(link.jfi for link in links),
+        sum_rate_bps=_mean(link.sum_rate_bps for link in links),
+        energy_j=sum(link.energy_j for link in links),
+        power_w=_mean(link.power_w for link in links),
+        efficiency_bit_per_j=_ratio(
+            sum(link.sum_rate_bps for link in links),
+            sum(link.power_w for link in links),
+        ),
+        reward=sum(link.reward for link in links),
+        displacement=Displacement(
+            commanded_m=_length(slot.commanded_enu for slot in flown),
+            planned_m=_length(slot.planned_enu for slot in flown),
+            flown_m=_length(slot.flown_enu for slot in flown),
+        ),
+        actions=dict(Counter(slot.outcome for slot in flown)),
+        configurations=dict(Counter(link.configuration for link in links)),
+        restarts=sum(event.kind == "node_back" for event in events),
+        log_complete=log.complete,
+        log_lost_bytes=log.lost_bytes,
+    )
+
+
+def table(report: Report) -> RenderableType:
+    """The report as shown after a flight."""
+    users = Table(title=f"{report.mission}: {report.slots} of {report.slots_planned} slots", title_justify="left")
+    users.add_column("user", justify="right")
+    users.add_column("side at the start")
+    users.add_column("mean rate [kbit/s]", justify="right")
+    users.add_column(f"slots below {report.qos_bps / 1e3:g} kbit/s", justify="right")
+    for number, user in enumerate(report.users, start=1):
+        users.add_row(str(number), user.region, f"{user.mean_rate_bps / 1e3:.0f}", f"{user.below_qos:.0%}")
+
+    total = Table(show_header=False)
+    total.add_column()
+    total.add_column(justify="right")
+    moved = report.displacement
+    for name, value in (
+        ("harmonic fairness index", f"{report.hfi:.3f}"),
+        ("sum rate", f"{report.sum_rate_bps / 1e6:.3f} Mbit/s"),
+        ("energy", f"{report.energy_j / 1e3:.2f} kJ ({report.power_w:.0f} W)"),
+        ("efficiency", f"{report.efficiency_bit_per_j / 1e3:.2f} kbit/J"),
+        (
+            "displacement commanded / planned / flown",
+            f"{moved.commanded_m:.1f} / {moved.planned_m:.1f} / {moved.flown_m:.1f} m",
+        ),
+        (
+            "actions rejected / clipped / late / missing",
+            " / ".join(str(report.actions.get(outcome, 0)) for outcome in ("rejected", "clipped", "late", "missing")),
+        ),
+    ):
+        total.add_row(name, value)
+    if not report.log_complete:
+        total.add_row("recording cut short", f"{report.log_lost_bytes} bytes unreadable")
+    return Group(users, total)
+
+
+def write(run: Path) -> Report:
+    """Read a run folder and write `report.json` and, when a slot was flown, `report.png` into it.
+
+    Raises FlightLogError when there is no log, MissionError when its mission.yaml is broken, OSError when the folder cannot be written.
+    """
+    log = read(run)
+    mission = _mission(run)
+    report = summarise(run, log, mission)
+    (run / FILE_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
+    if report.slots:
+        from mission.figures import draw  # matplotlib takes a second to import
+
+        draw(log, report, mission.scenario if mission else None, run / PICTURE_NAME)
+    return report
+
+
+def _mission(run: Path) -> Mission | None:
+    """The resolved mission; None when it is not there (a recording without the launcher)."""
+    path = run / "mission.yaml"
+    return load(path) if path.is_file() else None
+
+
+def _users(links: list[LinkReport]) -> list[User]:
+    if not links:
+        return []
+    return [
+        User(
+            region=region,
+            mean_rate_bps=_mean(link.rate_bps[user] for link in links),
+            below_qos=_mean(float(link.below_qos[user]) for link in links),
+        )
+        for user, region in enumerate(links[0].regions)
+    ]
+
+
+def _mean(values: Iterable[float]) -> float:
+    listed = list(values)
+    return math.fsum(listed) / len(listed) if listed else 0.0
+
+
+def _ratio(numerator: float, denominator: float) -> float:
+    return numerator / denominator if denominator > 0 else 0.0
+
+
+def _length(displacements: Iterable[Vec3]) -> float:
+    return math.fsum(math.hypot(*vector) for vector in displacements)
