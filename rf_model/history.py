@@ -1,0 +1,50 @@
+"""Answers readers of a per-slot topic: the latest message, or that of `?slot=K`."""
+
+from typing import Any, Generic, TypeVar
+
+import zenoh
+
+from bus import topics
+from bus.messages import LinkReport, RisConfiguration
+
+PerSlot = TypeVar("PerSlot", RisConfiguration, LinkReport)
+
+KEPT_SLOTS = 10_000
+
+
+class History(Generic[PerSlot]):
+    """A queryable on a topic's own key over the messages of the last `KEPT_SLOTS` slots."""
+
+    def __init__(self, session: zenoh.Session, vehicle: str, topic: topics.Topic[PerSlot]) -> None:
+        self._topic: topics.Topic[PerSlot] = topic
+        self._key = topics.key(vehicle, topic.name)
+        self._messages: dict[int, bytes] = {}
+        self._latest: int | None = None
+        self._queryable: Any = session.declare_queryable(self._key, self._answer)
+
+    def keep(self, message: PerSlot) -> None:
+        """Make a message the latest and the one of its slot."""
+        self._messages[message.slot] = topics.encode(message)
+        self._latest = message.slot
+        if len(self._messages) > KEPT_SLOTS:
+            del self._messages[next(iter(self._messages))]
+
+    def undeclare(self) -> None:
+        self._queryable.undeclare()
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """On zenoh's thread."""
+        with query:
+            asked = query.parameters.get("slot")
+            if asked is None:
+                slot = self._latest
+            elif asked.isdecimal():
+                slot = int(asked)
+            else:
+                query.reply_err(f"slot: {asked!r} is not a slot number".encode())
+                return
+            payload = None if slot is None else self._messages.get(slot)
+            if payload is None:
+                query.reply_err(f"slot: nothing kept for {'any slot yet' if slot is None else slot}".encode())
+            else:
+                query.reply(self._key, payload, encoding=self._topic.encoding)

@@ -1,0 +1,309 @@
+"""The radio world slot by slot: messages in, messages out. No bus, no clock, no global randomness.
+
+Everything random in slot k comes from generators seeded by (seed, k), so that a restarted node, or a replay, sees the
+same users and channels. All in double precision.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bus.messages import (
+    Action,
+    ChannelState,
+    Complex,
+    FlownSlot,
+    LinkReport,
+    Message,
+    Region,
+    RisConfiguration,
+    Sign,
+    SlotOpened,
+    TrackSample,
+    Vec3,
+)
+from rf_model.channels import Channels, draw_channels
+from rf_model.link import BeamformingError, check_beamforming, identity_beamforming
+from rf_model.mobility import Users, initial_users, move_users
+from rf_model.reward import reward
+from rf_model.scenario import Scenario
+from rf_model.star_ris import Trc, TrcError, check_trc, neutral_trc
+from rf_model.world import slot_power, slot_rates
+
+Source = Literal["action", "held", "default"]
+_USERS, _CHANNELS = 0, 1
+
+
+@dataclass(frozen=True)
+class _Decision:
+    """What the surface and the base station are set to."""
+
+    trc: Trc
+    beamforming: Tensor
+
+
+@dataclass(frozen=True)
+class _OpenSlot:
+    opened: SlotOpened
+    users: Users
+    channels: Channels
+
+
+class SlotRadio:
+    """One vehicle's radio world.
+
+    `open` takes each `SlotOpened` and `apply` each `Action`; both return the messages to publish, in order. In every
+    slot exactly one `RisConfiguration` and one `LinkReport` come out, whatever goes in. `counters` says what happened:
+    slots, applied, held, default, rejected, late, stray, repeated_slots, lost_slots, flights.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self.counters: Counter[str] = Counter()
+        self.rejections: list[str] = []
+        """Why actions were rejected, one line each, oldest first; whoever reports them clears the list."""
+        self._scenario = scenario
+        self._seed = seed
+        self._neutral = _Decision(
+            neutral_trc(scenario.elements, torch.float64), identity_beamforming(scenario, torch.complex128)
+        )
+        self._decision = self._neutral
+        self._ever_applied = False
+        self._slot: _OpenSlot | None = None
+        self._settled: Source | None = None
+        self._doubtful: Action | None = None
+        self._walked: tuple[int, Users] | None = None
+        self._time_s = 0.0
+
+    @property
+    def slot(self) -> SlotOpened | None:
+        """The slot now open."""
+        return None if self._slot is None else self._slot.opened
+
+    @property
+    def time_s(self) -> float:
+        """Vehicle time at the newest opening (closing ones included); 0 before any."""
+        return self._time_s
+
+    def must_wait(self, opened: SlotOpened) -> bool:
+        """Whether the open slot's action is still on its way although the next slot opens.
+
+        So it is when the bridge says that it got one in time: the two come over different links.
+        """
+        return (
+            self._slot is not None
+            and self._settled is None
+            and self._doubtful is None
+            and _came_in_time(self._slot.opened.slot, opened)
+        )
+
+    def open(self, opened: SlotOpened) -> list[Message]:
+        """Close the open slot (its configuration, if still due, and its report), then open this one (its channels)."""
+        messages: list[Message] = []
+        self._time_s = opened.time_s
+        if self._slot is not None:
+            before = self._slot.opened
+            if opened.slot == before.slot and opened.time_s == before.time_s:
+                self.counters["repeated_slots"] += 1
+                return []
+            if opened.slot <= before.slot:
+                self._forget_flight()
+            else:
+                self.counters["lost_slots"] += opened.slot - before.slot - 1
+                if self._settled is None:
+                    messages.append(self._settle_overdue(self._slot, opened))
+                messages.append(self._report(self._slot, opened))
+        if opened.closing:
+            self._forget_flight()
+            return messages
+        users = self._users_of(opened.slot)
+        channels = draw_channels(
+            self._scenario,
+            torch.tensor(opened.position_enu, dtype=torch.float64),
+            torch.tensor(opened.attitude_rad[2], dtype=torch.float64),
+            users.position_enu,
+            self._generator(opened.slot, _CHANNELS),
+        )
+        self._slot = _OpenSlot(opened, users, channels)
+        self._settled = None
+        self._doubtful = None
+        self.counters["slots"] += 1
+        messages.append(_channel_state(self._slot))
+        return messages
+
+    def apply(self, action: Action, late: bool = False) -> list[Message]:
+        """Check the open slot's action and set it, or keep what is set when it is bad.
+
+        One that seems `late` is put by: the next `SlotOpened` says whether the bridge got it in time. Actions of other
+        slots and second ones are counted as stray and change nothing.
+        """
+        if (
+            self._slot is None
+            or self._settled is not None
+            or self._doubtful is not None
+            or action.slot != self._slot.opened.slot
+        ):
+            self.counters["stray"] += 1
+            return []
+        if late:
+            self._doubtful = action
+            return []
+        return [self._set(self._slot, action)]
+
+    def _settle_overdue(self, slot: _OpenSlot, next_opened: SlotOpened) -> RisConfiguration:
+        if self._doubtful is not None:
+            if _came_in_time(slot.opened.slot, next_opened):
+                return self._set(slot, self._doubtful)
+            self.counters["late"] += 1
+        return self._keep(slot)
+
+    def _set(self, slot: _OpenSlot, action: Action) -> RisConfiguration:
+        try:
+            self._decision = self._read(action)
+        except (TrcError, BeamformingError) as error:
+            self.counters["rejected"] += 1
+            self.rejections.append(f"action of slot {action.slot}: {error}")
+            return self._keep(slot)
+        self._ever_applied = True
+        return self._settle(slot, "action", "applied")
+
+    def _keep(self, slot: _OpenSlot) -> RisConfiguration:
+        kept: Source = "held" if self._ever_applied else "default"
+        return self._settle(slot, kept, kept)
+
+    def _settle(self, slot: _OpenSlot, source: Source, counter: str) -> RisConfiguration:
+        self._settled = source
+        self.counters[counter] += 1
+        return _configuration(slot.opened, source, self._decision)
+
+    def _report(self, slot: _OpenSlot, next_opened: SlotOpened) -> LinkReport:
+        assert self._settled is not None
+        rates = slot_rates(self._scenario, slot.channels, self._decision.trc, self._decision.beamforming)
+        power = self._mean_power(slot.opened, next_opened)
+        following = next_opened.slot == slot.opened.slot + 1 and next_opened.time_s > slot.opened.time_s
+        duration_s = next_opened.time_s - slot.opened.time_s if following else self._scenario.slot_s
+        return LinkReport(
+            slot=slot.opened.slot,
+            time_s=slot.opened.time_s,
+            configuration=self._settled,
+            position_enu=slot.opened.position_enu,
+            users_enu=_points(slot.users.position_enu),
+            regions=_regions(slot.channels),
+            sinr=rates.sinr.tolist(),
+            rate_bps=rates.rate_bps.tolist(),
+            sum_rate_bps=rates.sum_rate_bps.item(),
+            fair_rate_bps=rates.fair_rate_bps.item(),
+            hfi=rates.hfi.item(),
+            jfi=rates.jfi.item(),
+            qos_bps=self._scenario.qos_bps,
+            below_qos=(rates.rate_bps < self._scenario.qos_bps).tolist(),
+            power_w=power.item(),
+            energy_j=power.item() * duration_s,
+            reward=reward(self._scenario, rates.fair_rate_bps, power).item(),
+        )
+
+    def _mean_power(self, opened: SlotOpened, next_opened: SlotOpened) -> Tensor:
+        """Mean over the flown track, or over both openings when the bridge reports none for this slot [W]."""
+        track = _track_of(next_opened.flown, opened.slot)
+        velocities = [sample.velocity_enu for sample in track] or [opened.velocity_enu, next_opened.velocity_enu]
+        yaw = torch.tensor(opened.attitude_rad[2], dtype=torch.float64)
+        power = slot_power(self._scenario, torch.tensor(velocities, dtype=torch.float64), yaw)
+        if len(track) < 2 or track[-1].time_s <= track[0].time_s:
+            return power.mean()
+        time = torch.tensor([sample.time_s for sample in track], dtype=torch.float64)
+        return torch.trapezoid(power, time) / (time[-1] - time[0])
+
+    def _read(self, action: Action) -> _Decision:
+        trc = Trc(
+            torch.tensor(action.theta_reflection, dtype=torch.float64),
+            torch.tensor(action.split_angle, dtype=torch.float64),
+            torch.tensor(action.sign, dtype=torch.float64),
+        )
+        check_trc(trc, self._scenario.elements)
+        J, M = self._scenario.users, self._scenario.antennas
+        widths = {len(row) for row in action.beamforming}
+        if len(action.beamforming) != M or widths != {J}:
+            columns = "/".join(str(width) for width in sorted(widths)) or "0"
+            raise BeamformingError(f"beamforming: {len(action.beamforming)} x {columns}, must be M x J = {M} x {J}")
+        beamforming = torch.view_as_complex(torch.tensor(action.beamforming, dtype=torch.float64))
+        check_beamforming(beamforming, self._scenario)
+        return _Decision(trc, beamforming)
+
+    def _users_of(self, slot: int) -> Users:
+        """Users of a slot, walked there from slot 0: the same whenever this node was started."""
+        if self._walked is None or self._walked[0] > slot:
+            self._walked = (0, initial_users(self._scenario, (), self._generator(0, _USERS), torch.float64))
+        walked, users = self._walked
+        for step in range(walked + 1, slot + 1):
+            users = move_users(self._scenario, users, self._generator(step, _USERS))
+        self._walked = (slot, users)
+        return users
+
+    def _generator(self, slot: int, stream: int) -> torch.Generator:
+        state = np.random.SeedSequence((self._seed, slot, stream)).generate_state(1, np.uint64)
+        return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
+
+    def _forget_flight(self) -> None:
+        """What was set does not outlive the flight."""
+        self.counters["flights"] += 1
+        self._slot = None
+        self._settled = None
+        self._doubtful = None
+        self._decision = self._neutral
+        self._ever_applied = False
+
+
+def _came_in_time(slot: int, next_opened: SlotOpened) -> bool:
+    flown = next_opened.flown
+    return flown is not None and flown.slot == slot and flown.outcome not in ("missing", "late")
+
+
+def _track_of(flown: FlownSlot | None, slot: int) -> Sequence[TrackSample]:
+    return flown.track if flown is not None and flown.slot == slot else ()
+
+
+def _channel_state(slot: _OpenSlot) -> ChannelState:
+    return ChannelState(
+        slot=slot.opened.slot,
+        time_s=slot.opened.time_s,
+        position_enu=slot.opened.position_enu,
+        attitude_rad=slot.opened.attitude_rad,
+        users_enu=_points(slot.users.position_enu),
+        regions=_regions(slot.channels),
+        direct=_matrix(slot.channels.direct),
+        bs_ris=_matrix(slot.channels.bs_ris),
+        ris_user=_matrix(slot.channels.ris_user),
+    )
+
+
+def _configuration(opened: SlotOpened, source: Source, decision: _Decision) -> RisConfiguration:
+    trc = decision.trc
+    signs: list[Sign] = [1 if sign > 0 else -1 for sign in trc.sign.tolist()]
+    return RisConfiguration(
+        slot=opened.slot,
+        time_s=opened.time_s,
+        source=source,
+        theta_reflection=trc.theta_reflection.tolist(),
+        theta_transmission=trc.theta_transmission.tolist(),
+        beta_reflection=trc.beta_reflection.tolist(),
+        beta_transmission=trc.beta_transmission.tolist(),
+        sign=signs,
+        split_angle=trc.split_angle.tolist(),
+        beamforming=_matrix(decision.beamforming),
+    )
+
+
+def _points(positions: Tensor) -> list[Vec3]:
+    return [(x, y, z) for x, y, z in positions.tolist()]
+
+
+def _regions(channels: Channels) -> list[Region]:
+    return ["transmission" if beyond else "reflection" for beyond in channels.transmission.tolist()]
+
+
+def _matrix(matrix: Tensor) -> list[list[Complex]]:
+    return [[(re, im) for re, im in row] for row in torch.view_as_real(matrix).tolist()]
