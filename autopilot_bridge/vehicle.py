@@ -80,8 +80,8 @@ class Vehicle(ABC):
 
     @property
     @abstractmethod
-    def silence_s(self) -> float:
-        """Wall-clock seconds since the last word of the autopilot."""
+    def heard(self) -> int:
+        """Messages of the autopilot so far; one that stops counting is silent."""
 
     @property
     @abstractmethod

@@ -1,0 +1,97 @@
+"""Vehicle time, one step at a time: owned by the bridge (lockstep) or by the autopilot (paced)."""
+
+import time
+from typing import Protocol
+
+from autopilot_bridge.link import ControlLine
+from autopilot_bridge.vehicle import Vehicle
+
+TELEMETRY_WALL_S = 0.5
+"""How long a lockstep step's telemetry may take to arrive before it counts as lost."""
+UNHEARD_S = 0.1
+"""Vehicle time is carried on over this long [s of vehicle time] without telemetry, then it stands still."""
+
+
+class Clock(Protocol):
+    """Steps of vehicle time."""
+
+    @property
+    def now(self) -> float:
+        """Vehicle time [s] at the last step."""
+
+    @property
+    def frozen_between_steps(self) -> bool:
+        """Whether the vehicle waits for us, so that waiting for something costs no vehicle time."""
+
+    def step(self, vehicle: Vehicle) -> None:
+        """Let one step pass and take in the telemetry of it."""
+
+    def close(self, over: bool) -> None:
+        """Let go of vehicle time; `over`: nobody will need it any more."""
+
+
+class Lockstep:
+    """The SITL moves only when told to, by `step_ms` at a time. Raises LinkError when it does not answer."""
+
+    frozen_between_steps = True
+
+    def __init__(self, control: str, step_ms: int) -> None:
+        self._line = ControlLine(control)
+        self._step_ms = step_ms
+        self.now = self._line.hello()
+
+    def step(self, vehicle: Vehicle) -> None:
+        before = vehicle.frames_received
+        self.now, sent = self._line.advance(self._step_ms)
+        deadline = time.monotonic() + TELEMETRY_WALL_S
+        while (missing := before + sent - vehicle.frames_received) > 0:
+            if time.monotonic() > deadline:
+                vehicle.counters["frames_lost"] += missing
+                return
+            vehicle.poll(0.05)
+
+    def close(self, over: bool) -> None:
+        if over:
+            self._line.quit()
+        self._line.close()
+
+
+class Paced:
+    """The autopilot's own clock, read from its telemetry, `speed` times as fast as the wall clock.
+
+    A step ends when vehicle time reaches the next multiple of the step, so steps do not drift against it. When the
+    telemetry stops, vehicle time stops; steps then take a wall-clock step each, so that silence can be noticed.
+    """
+
+    frozen_between_steps = False
+
+    def __init__(self, speed: float, step_ms: int) -> None:
+        self._speed, self._step_ms = speed, step_ms
+        self._telemetry_s = 0.0
+        self._heard_at = time.monotonic()
+        self._steps = 0
+
+    @property
+    def now(self) -> float:
+        return self._steps * self._step_ms / 1000
+
+    def step(self, vehicle: Vehicle) -> None:
+        due_s = (self._steps + 1) * self._step_ms / 1000
+        give_up = time.monotonic() + max(2 * self._step_ms / 1000 / self._speed, UNHEARD_S / self._speed)
+        while (left_s := due_s - self._estimate(vehicle)) > 1e-6:
+            wall = time.monotonic()
+            if wall >= give_up:
+                return
+            vehicle.poll(min(left_s / self._speed, give_up - wall))
+        behind = int((self._estimate(vehicle) - due_s) / (self._step_ms / 1000))
+        if behind > 0 and self._steps > 0:
+            vehicle.counters["steps_skipped"] += behind
+        self._steps += 1 + max(behind, 0)
+
+    def close(self, over: bool) -> None:
+        """The autopilot's clock goes on without us."""
+
+    def _estimate(self, vehicle: Vehicle) -> float:
+        if vehicle.telemetry.time_s != self._telemetry_s:
+            self._telemetry_s, self._heard_at = vehicle.telemetry.time_s, time.monotonic()
+        return self._telemetry_s + min((time.monotonic() - self._heard_at) * self._speed, UNHEARD_S)
