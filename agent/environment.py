@@ -46,8 +46,8 @@ class Environment:
     """B worlds of one scenario, stepped together; everything random comes from one seeded generator.
 
     `timing: pre`: the reward of a slot takes the rates of the channels observed at its opening and the power of the
-    displacement commanded in it; the vehicle is at the new place when the next slot opens. It flies as commanded, except
-    that it stops at the box: what autopilot and envelope make of a displacement is seen in flight only.
+    displacement commanded in it; the vehicle is at the new place when the next slot opens. It flies as commanded,
+    except that it stops at the box: what autopilot and envelope make of a displacement is seen in flight only.
 
     The same seed and batch size give the same episodes, bit for bit.
     """
