@@ -19,7 +19,7 @@ def random_raw(scenario: Scenario, batch: int, seed: int) -> torch.Tensor:
     return torch.rand(batch, action_size(scenario), generator=torch.Generator().manual_seed(seed)) * 2 - 1
 
 
-def reward_by_hand(
+def reward_by_hand(scenario: Scenario, raw: np.ndarray, world, row: int):
     scenario: Scenario, raw: np.ndarray, world, row: int
 ) -> tuple[float, np.ndarray, list[float], float]:
     """Decode and rate one world with plain arithmetic: (reward, displacement, rates, power)."""
