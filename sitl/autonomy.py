@@ -1,0 +1,242 @@
+"""The modes that fly by themselves: takeoff, hold, return, land, and the blind descent of a failsafe.
+
+Each turns the state into a setpoint, tick by tick. `landing` tells the landed-state machine what it is looking at;
+`done` that the mode has nothing left to do.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.control import Setpoint
+from sitl.parameters import Parameters
+from sitl.physics import Body, heading
+from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_point
+
+NAN = math.nan
+NAN3 = (NAN, NAN, NAN)
+TAKEOFF_ACCELERATION = 0.5
+"""Climb acceleration of PX4's takeoff as recorded [m/s2]."""
+
+LIFT_OFF_SPEED = 0.2
+"""Climb asked for while still standing [m/s]."""
+
+Say = Callable[[str], None]
+
+
+class Autonomous(Protocol):
+    """A mode that makes its own setpoints."""
+
+    @property
+    def landing(self) -> bool: ...
+
+    @property
+    def done(self) -> bool: ...
+
+    def step(self, body: Body, dt: float) -> Setpoint: ...
+
+
+def vector(array: NDArray[np.float64]) -> Vec3:
+    """A float64 [3] array as three floats."""
+    return float(array[0]), float(array[1]), float(array[2])
+
+
+def limits(p: Parameters) -> Limits:
+    """MPC_* limits of the autonomous modes."""
+    return Limits(
+        speed_xy=min(p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"]),
+        speed_up=min(p["MPC_Z_V_AUTO_UP"], p["MPC_Z_VEL_MAX_UP"]),
+        speed_down=min(p["MPC_Z_V_AUTO_DN"], p["MPC_Z_VEL_MAX_DN"]),
+        acceleration_xy=p["MPC_ACC_HOR"],
+        acceleration_z=p["MPC_ACC_UP_MAX"],
+        braking_z=p["MPC_ACC_DOWN_MAX"],
+        jerk=p["MPC_JERK_AUTO"],
+    )
+
+
+def tracking(reference: Reference, yaw: float) -> Setpoint:
+    """Follow a reference: its position, its velocity as feed-forward."""
+    return Setpoint(reference.position, reference.velocity, NAN3, yaw, NAN)
+
+
+class Loiter:
+    """AUTO.LOITER: brake, then hold the place."""
+
+    landing = False
+    done = False
+
+    def __init__(self, body: Body, p: Parameters) -> None:
+        self._limits = limits(p)
+        self._reference = Reference(vector(body.position), vector(body.velocity))
+        self._target = stopping_point(self._reference, self._limits)
+        self._yaw = heading(body.attitude)
+
+    def step(self, body: Body, dt: float) -> Setpoint:
+        self._reference = approach(self._reference, self._target, vector(body.position), self._limits, dt)
+        return tracking(self._reference, self._yaw)
+
+
+class Takeoff:
+    """AUTO.TAKEOFF: straight up to a height, at MPC_TKO_SPEED."""
+
+    landing = False
+
+    def __init__(self, body: Body, p: Parameters, target_down: float) -> None:
+        usual = limits(p)
+        self._limits = Limits(
+            usual.speed_xy,
+            min(p["MPC_TKO_SPEED"], usual.speed_up),
+            usual.speed_down,
+            usual.acceleration_xy,
+            TAKEOFF_ACCELERATION,
+            usual.braking_z,
+            usual.jerk,
+        )
+        self._accept = p["NAV_MC_ALT_RAD"]
+        self._start = vector(body.position)
+        self._target = (self._start[0], self._start[1], target_down)
+        self._reference = Reference(self._start, (0.0, 0.0, 0.0))
+        self._yaw = heading(body.attitude)
+        self.done = False
+
+    def step(self, body: Body, dt: float) -> Setpoint:
+        if body.contact_s[0] > 0.0:
+            self._reference = Reference(self._start, (0.0, 0.0, -LIFT_OFF_SPEED))
+        else:
+            self._reference = approach(self._reference, self._target, vector(body.position), self._limits, dt)
+            self.done = body.position[2] <= self._target[2] + min(self._accept, 0.5 * abs(self._target[2]))
+        return tracking(self._reference, self._yaw)
+
+
+class Land:
+    """AUTO.LAND: brake and come down; slower below MPC_LAND_ALT1, 2 and 3 above home."""
+
+    landing = True
+    done = False
+
+    def __init__(self, body: Body, p: Parameters, ground_down: float, place: tuple[float, float] | None = None) -> None:
+        self._p = p
+        self._limits = limits(p)
+        self._reference = Reference(vector(body.position), vector(body.velocity))
+        x, y, _ = stopping_point(self._reference, self._limits)
+        self._place = place or (x, y)
+        self._ground_down = ground_down
+        self._yaw = heading(body.attitude)
+
+    def sink_rate(self, height: float) -> float:
+        """Descent speed [m/s] at a height above home [m]."""
+        p = self._p
+        if height < p["MPC_LAND_ALT3"]:
+            return p["MPC_LAND_CRWL"]
+        share = (height - p["MPC_LAND_ALT2"]) / max(p["MPC_LAND_ALT1"] - p["MPC_LAND_ALT2"], 1e-6)
+        slow = min(p["MPC_LAND_SPEED"], self._limits.speed_down)
+        return slow + min(max(share, 0.0), 1.0) * (self._limits.speed_down - slow)
+
+    def step(self, body: Body, dt: float) -> Setpoint:
+        actual = vector(body.position)
+        level = (self._place[0], self._place[1], self._reference.position[2])
+        flat = approach(self._reference, level, (actual[0], actual[1], self._reference.position[2]), self._limits, dt)
+        sink = self.sink_rate(self._ground_down - actual[2])
+        down = follow(self._reference, (0.0, 0.0, sink), self._limits, dt).velocity[2]
+        self._reference = Reference(
+            (flat.position[0], flat.position[1], actual[2]), (flat.velocity[0], flat.velocity[1], down)
+        )
+        x, y, _ = self._reference.position
+        return Setpoint((x, y, NAN), self._reference.velocity, NAN3, self._yaw, NAN)
+
+
+class Return:
+    """AUTO.RTL: climb, fly home, come down to RTL_DESCEND_ALT, wait RTL_LAND_DELAY, land."""
+
+    done = False
+
+    def __init__(self, body: Body, p: Parameters, home: Vec3, home_altitude: float, say: Say) -> None:
+        self._p = p
+        self._say = say
+        self._home = home
+        self._limits = limits(p)
+        self._reference = Reference(vector(body.position), vector(body.velocity))
+        here = stopping_point(self._reference, self._limits)
+        distance = math.dist(here[:2], home[:2])
+        height = max(self.return_height(distance), home[2] - body.position[2])
+        self._cruise_down = home[2] - height
+        self._climb_target = (here[0], here[1], self._cruise_down)
+        self._yaw = heading(body.attitude)
+        self._phase = "climb"
+        self._waited = 0.0
+        self._land: Land | None = None
+        say(f"RTL: start return at {home_altitude + height:.0f} m ({height:.0f} m above destination)")
+
+    def return_height(self, distance: float) -> float:
+        """Height above home to fly back at: RTL_RETURN_ALT, lower inside the cone of RTL_CONE_ANG near home."""
+        p = self._p
+        accept = p["NAV_ACC_RAD"]
+        if distance <= accept:
+            return 2.0 * distance
+        height = p["RTL_RETURN_ALT"]
+        if distance <= p["RTL_MIN_DIST"] and p["RTL_CONE_ANG"] > 0:
+            cone = math.radians(min(max(p["RTL_CONE_ANG"], 1.0), 89.0))
+            height = min(distance / math.tan(cone), height)
+        return max(height, 2.0 * accept)
+
+    @property
+    def landing(self) -> bool:
+        return self._phase in ("descend", "wait", "land")
+
+    def _target(self) -> Vec3:
+        if self._phase == "climb":
+            return self._climb_target
+        if self._phase == "cruise":
+            return (self._home[0], self._home[1], self._cruise_down)
+        return (self._home[0], self._home[1], max(self._cruise_down, self._home[2] - self._p["RTL_DESCEND_ALT"]))
+
+    def _next_phase(self, body: Body, dt: float) -> None:
+        target = self._target()
+        level = abs(body.position[2] - target[2]) < self._p["NAV_MC_ALT_RAD"]
+        there = math.dist(vector(body.position)[:2], target[:2]) < self._p["NAV_ACC_RAD"]
+        if self._phase == "climb" and level:
+            self._phase = "cruise"
+        elif self._phase == "cruise" and there:
+            self._phase = "descend"
+            self._say("RTL: land at destination")
+        elif self._phase == "descend" and level:
+            self._phase = "wait"
+        elif self._phase == "wait":
+            self._waited += dt
+            if self._waited >= self._p["RTL_LAND_DELAY"]:
+                self._phase = "land"
+                self._land = Land(body, self._p, self._home[2], self._home[:2])
+
+    def step(self, body: Body, dt: float) -> Setpoint:
+        self._next_phase(body, dt)
+        if self._land is not None:
+            return self._land.step(body, dt)
+        position = vector(body.position)
+        self._reference = approach(self._reference, self._target(), position, self._limits, dt)
+        north, east = self._home[0] - position[0], self._home[1] - position[1]
+        if self._phase == "cruise" and math.hypot(north, east) > self._p["NAV_ACC_RAD"]:
+            self._yaw = turned(self._yaw, math.atan2(east, north), math.radians(self._p["MPC_YAWRAUTO_MAX"]) * dt)
+        return tracking(self._reference, self._yaw)
+
+
+def turned(yaw: float, goal: float, step: float) -> float:
+    """Yaw moved towards goal by at most `step`, the shorter way round [rad]."""
+    error = math.remainder(goal - yaw, 2.0 * math.pi)
+    return math.remainder(yaw + min(max(error, -step), step), 2.0 * math.pi)
+
+
+class Descend:
+    """What position mode does without sticks: level, coast, sink at MPC_LAND_SPEED."""
+
+    landing = False
+    done = False
+
+    def __init__(self, body: Body, p: Parameters) -> None:
+        self._sink = p["MPC_LAND_SPEED"]
+        self._yaw = heading(body.attitude)
+
+    def step(self, body: Body, dt: float) -> Setpoint:
+        return Setpoint(NAN3, (NAN, NAN, self._sink), (0.0, 0.0, NAN), self._yaw, NAN)

@@ -1,0 +1,62 @@
+"""Command line of the simulated autopilot: `python -m sitl`, `aerialstar sitl`."""
+
+from typing import Annotated
+
+import typer
+
+
+def sitl(
+    gcs_port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the ground station.")] = 14550,
+    companion_port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the companion.")] = 14540,
+    gcs_bind: Annotated[int, typer.Option(min=0, max=65535, help="Where the ground link listens; 0: any.")] = 18570,
+    companion_bind: Annotated[
+        int, typer.Option(min=0, max=65535, help="Where the companion link listens; 0: any.")
+    ] = 14580,
+    speed: Annotated[
+        float, typer.Option(min=0.01, max=1000.0, help="Vehicle seconds per second of wall clock, when paced.")
+    ] = 1.0,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Move only as a control client says.")] = False,
+    control_port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="TCP port of the control socket; 0: any.")
+    ] = None,
+    exit_when_landed: Annotated[
+        bool, typer.Option("--exit-when-landed", help="End after the flight, or when the control client is gone.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the sensor noise.")] = 0,
+    home: Annotated[
+        str, typer.Option(metavar="LAT,LON,ALT", help="Start on the globe [deg, deg, m above mean sea level].")
+    ] = "47.397743,8.545594,489.4",
+    param: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Set a parameter; may be repeated.")
+    ] = None,
+    system_id: Annotated[int, typer.Option(min=1, max=250, help="MAVLink system id.")] = 1,
+) -> None:
+    """Simulate a PX4-like quadcopter that MAVLink clients can fly (UDP on loopback)."""
+    from sitl.server import Options, run
+    from sitl.telemetry import Origin
+
+    try:
+        latitude, longitude, altitude = (float(part) for part in home.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{home!r} is not LAT,LON,ALT", param_hint="--home") from None
+    if not (abs(latitude) <= 85.0 and abs(longitude) <= 180.0 and abs(altitude) <= 10000.0):
+        raise typer.BadParameter(
+            f"{home!r}: allowed are -85 to 85, -180 to 180 degrees, -10000 to 10000 m", param_hint="--home"
+        )
+    raise typer.Exit(
+        run(
+            Options(
+                gcs_port=gcs_port,
+                companion_port=companion_port,
+                gcs_bind=gcs_bind,
+                companion_bind=companion_bind,
+                speed=speed,
+                lockstep=lockstep,
+                control_port=control_port,
+                exit_when_landed=exit_when_landed,
+                seed=seed,
+                origin=Origin(latitude, longitude, altitude),
+                parameters=(f"MAV_SYS_ID={system_id}", *(param or ())),
+            )
+        )
+    )

@@ -1,0 +1,342 @@
+"""The commander: arming, flight modes, failsafes and landed state, as PX4 was seen to behave.
+
+Time is vehicle time in milliseconds since boot; nothing here waits. What is to be told to the ground goes to `say`.
+"""
+
+import math
+from collections.abc import Callable
+from enum import IntEnum
+
+from sitl.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff, vector
+from sitl.battery import Battery
+from sitl.control import Setpoint
+from sitl.flight_model import NOTHING, FlightModel
+from sitl.offboard import OffboardStream, Target
+from sitl.parameters import Parameters
+from sitl.physics import GRAVITY
+from sitl.px4 import ARMABLE_MS, DISARM_PREFLIGHT_EXTRA_S, HOME_MS, Mode
+
+CRITICAL, WARNING, INFO = 2, 4, 6
+"""MAV_SEVERITY."""
+
+
+class Result(IntEnum):
+    """MAV_RESULT."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+
+
+class Landed(IntEnum):
+    """MAV_LANDED_STATE."""
+
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+FALLBACK = {0: Mode.POSCTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.LOITER}
+"""COM_OBL_RC_ACT -> what is flown when the OFFBOARD stream is lost and there are no sticks."""
+
+
+class Commander:
+    """The vehicle's decisions. `step` is called once per tick, before the physics."""
+
+    def __init__(
+        self, p: Parameters, model: FlightModel, origin_altitude: float, say: Callable[[str, int], None]
+    ) -> None:
+        """`say(text, severity)` sends a STATUSTEXT."""
+        self._p = p
+        self._body = model.body
+        self._controller = model.controller
+        self._origin_altitude = origin_altitude
+        self.battery = Battery()
+        self.stream = OffboardStream()
+        self._say = say
+        self.now_ms = 0
+        self.armed = False
+        self.flying = False
+        """Whether the control law drives the motors; False on the ground and disarmed."""
+        self.has_flown = False
+        """Whether it ever left the ground."""
+        self.landed = Landed.ON_GROUND
+        self.mode = Mode.LOITER
+        """What is flown now."""
+        self.intended = Mode.LOITER
+        """What the user asked for; a failsafe may fly something else."""
+        self.failsafe = ""
+        """What is wrong: `offboard`, `battery`, or nothing."""
+        self.home: tuple[float, float, float] | None = None
+        """NED from the local origin [m]."""
+        self._autonomous: Autonomous = Loiter(self._body, p)
+        self._mode_after_disarm = Mode.LOITER
+        self._takeoff_altitude = math.nan
+        self._armed_ms = 0
+        self._landed_ms = 0
+        self._flown_since_arming = False
+        self._ramp_ms: int | None = None
+        self._battery_level = 0
+        self._battery_action: tuple[int, Mode] | None = None
+
+    # What a client can ask for
+
+    def arm(self, force: bool = False) -> Result:
+        """Start the motors. Refused before the estimator is ready and in modes that cannot start a flight."""
+        if self.armed:
+            return Result.ACCEPTED
+        if not force:
+            reason = self.why_not_arm()
+            if reason:
+                self.say(f"Arming denied: {reason}", CRITICAL)
+                return Result.TEMPORARILY_REJECTED
+        self.armed = True
+        self._armed_ms = self.now_ms
+        self._flown_since_arming = False
+        self.home = vector(self._body.position)
+        self.say("Armed by external command")
+        self._enter(self.mode)
+        return Result.ACCEPTED
+
+    def why_not_arm(self) -> str:
+        """The arming checks: what stands against arming now; empty when nothing does."""
+        if self.now_ms < ARMABLE_MS:
+            return "Resolve system health failures first"
+        if self.mode is Mode.OFFBOARD and not self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"]):
+            return "Resolve system health failures first"
+        if self.mode in (Mode.RTL, Mode.LAND, Mode.POSCTL, Mode.MISSION):
+            return "switch to another mode first"
+        if self.battery.remaining(self._p) < self._p["BAT_CRIT_THR"]:
+            return "low battery"
+        return ""
+
+    def disarm(self, force: bool = False) -> Result:
+        """Stop the motors; in the air only by force."""
+        if not self.armed:
+            return Result.ACCEPTED
+        if self.flying and not force:
+            self.say("Disarming denied: not landed", CRITICAL)
+            return Result.TEMPORARILY_REJECTED
+        self._stop("external command")
+        return Result.ACCEPTED
+
+    def takeoff(self, altitude_amsl: float) -> Result:
+        """AUTO.TAKEOFF to an altitude above mean sea level [m]; NaN: MIS_TAKEOFF_ALT above home."""
+        self._takeoff_altitude = altitude_amsl
+        if math.isnan(altitude_amsl):
+            self.say(f"Using default takeoff altitude: {self._p['MIS_TAKEOFF_ALT']:.1f} m")
+        return self._take(Mode.TAKEOFF)
+
+    def set_mode(self, mode: Mode) -> Result:
+        """Fly a mode. While disarmed every mode is taken; in the air only one that can be flown now."""
+        if mode is Mode.MISSION:
+            self.say("Mode switch to Mission rejected: no valid mission available", CRITICAL)
+            return Result.TEMPORARILY_REJECTED
+        if mode is Mode.TAKEOFF:
+            return self.takeoff(math.nan)
+        if self.armed:
+            if mode is Mode.POSCTL:
+                self.say("Switching to mode 'Position' is currently not possible", CRITICAL)
+                return Result.TEMPORARILY_REJECTED
+            if mode is Mode.OFFBOARD and not self.stream.ready(self.now_ms, self._p["COM_OF_LOSS_T"]):
+                self.say("Switching to mode 'Offboard' is currently not possible", CRITICAL)
+                return Result.TEMPORARILY_REJECTED
+        return self._take(mode)
+
+    def receive(self, target: Target) -> None:
+        """A valid OFFBOARD setpoint."""
+        self.stream.receive(target, self.now_ms, self._p["COM_OF_LOSS_T"])
+
+    def set_home(self, position_ned: tuple[float, float, float]) -> None:
+        """Another home."""
+        self.home = position_ned
+
+    @property
+    def ready(self) -> bool:
+        """What SYS_STATUS's PREARM_CHECK bit says: it may arm, or flies and nothing is wrong."""
+        return not self.failsafe if self.armed else not self.why_not_arm()
+
+    def say(self, text: str, severity: int = INFO) -> None:
+        """Tell the ground; PX4 ends its texts with a tab where an event carries the same news."""
+        self._say(f"{text}\t", severity)
+
+    # One tick
+
+    def step(self, dt: float) -> Setpoint:
+        """Decide what is flown for the coming tick of dt [s]; `flying` tells whether at all."""
+        if self.home is None and self.now_ms >= HOME_MS:
+            self.home = vector(self._body.position)
+        if self.armed:
+            self._watch_stream()
+            self._watch_battery()
+            self._watch_ground()
+        setpoint = self._setpoint(dt) if self.armed else NOTHING
+        if self.armed and not self.flying and self._wants_up(setpoint):
+            self._start_ramp()
+        if self.flying:
+            setpoint = self._in_ramp(setpoint)
+        velocity = self._body.velocity
+        self.battery.drain(float(velocity[0]), float(velocity[1]), float(velocity[2]), self.flying, dt)
+        return setpoint
+
+    def _setpoint(self, dt: float) -> Setpoint:
+        if self.mode is Mode.OFFBOARD:
+            return self.stream.setpoint or NOTHING
+        setpoint = self._autonomous.step(self._body, dt)
+        if self.mode is Mode.TAKEOFF and self._autonomous.done and self.intended is Mode.TAKEOFF:
+            self._take(Mode.LOITER)
+        return setpoint
+
+    # Modes
+
+    def _take(self, mode: Mode) -> Result:
+        """The user's will: flown now, and kept against a failsafe that comes later."""
+        self.intended = mode
+        if mode not in (Mode.TAKEOFF, Mode.RTL, Mode.LAND):
+            self._mode_after_disarm = mode
+        self.failsafe = ""
+        self._battery_action = None
+        if mode is Mode.RTL:
+            self.say("Returning to launch")
+        elif mode is Mode.LAND:
+            self.say("Landing at current position")
+        self._enter(mode)
+        return Result.ACCEPTED
+
+    def _enter(self, mode: Mode) -> None:
+        self.mode = mode
+        body, p = self._body, self._p
+        home = self.home or (0.0, 0.0, 0.0)
+        if mode is Mode.TAKEOFF:
+            target = home[2] - p["MIS_TAKEOFF_ALT"]
+            if math.isfinite(self._takeoff_altitude):
+                target = self._origin_altitude - self._takeoff_altitude
+            # Never down: a takeoff to below where the vehicle is, stays.
+            self._autonomous = Takeoff(body, p, min(target, float(body.position[2])))
+        elif mode is Mode.LAND:
+            self._autonomous = Land(body, p, home[2])
+        elif mode is Mode.RTL and self.armed:
+            self._autonomous = Return(body, p, home, self._origin_altitude - home[2], self.say)
+        elif mode is Mode.POSCTL:
+            self._autonomous = Descend(body, p)
+        else:
+            self._autonomous = Loiter(body, p)
+
+    # Leaving and meeting the ground
+
+    def _wants_up(self, setpoint: Setpoint) -> bool:
+        """Whether a vehicle on the ground is asked to leave it."""
+        if self.now_ms - self._armed_ms < self._p["COM_SPOOLUP_TIME"] * 1000.0:
+            return False
+        if self.mode is Mode.TAKEOFF:
+            return True
+        if self.mode is not Mode.OFFBOARD:
+            return False
+        climb = -setpoint.velocity[2] if math.isfinite(setpoint.velocity[2]) else 0.0
+        if math.isfinite(setpoint.position[2]):
+            climb += (float(self._body.position[2]) - setpoint.position[2]) * self._p["MPC_Z_P"]
+        elif not math.isfinite(setpoint.velocity[2]) and math.isfinite(setpoint.acceleration[2]):
+            climb = -setpoint.acceleration[2]
+        return climb > 0.05
+
+    def _start_ramp(self) -> None:
+        self.flying = True
+        self._ramp_ms = self.now_ms
+
+    def _in_ramp(self, setpoint: Setpoint) -> Setpoint:
+        """PX4's takeoff ramp: in MPC_TKO_RAMP_T the climb limit rises from where thrust is zero to its parameter."""
+        if self._ramp_ms is None:
+            return setpoint._replace(thrust_min=self._p["MPC_THR_MIN"])
+        share = (self.now_ms - self._ramp_ms) / 1000.0 / self._p["MPC_TKO_RAMP_T"]
+        if share >= 1.0:
+            self._ramp_ms = None
+            self._body.contact_s[0] = 0.0
+            return setpoint._replace(thrust_min=self._p["MPC_THR_MIN"])
+        start = -GRAVITY / self._p["MPC_Z_VEL_P_ACC"]
+        return setpoint._replace(climb_max=start + share * (self._p["MPC_Z_VEL_MAX_UP"] - start))
+
+    def _watch_ground(self) -> None:
+        contact = float(self._body.contact_s[0])
+        if self.flying and contact == 0.0:
+            if not self._flown_since_arming:
+                self._flown_since_arming = True
+                self.has_flown = True
+                self.say("Takeoff detected")
+            if self.mode is Mode.TAKEOFF:
+                self.landed = Landed.TAKEOFF
+            elif self.mode is not Mode.OFFBOARD and self._autonomous.landing:
+                self.landed = Landed.LANDING
+            else:
+                self.landed = Landed.IN_AIR
+        elif self.flying and self._ramp_ms is None and contact >= self._p["LNDMC_TRIG_TIME"]:
+            wanted_down = float(self._controller.velocity_setpoint[2])
+            if not wanted_down < -0.05:
+                self.flying = False
+                self.landed = Landed.ON_GROUND
+                self._landed_ms = self.now_ms
+                self.say("Landing detected")
+        if not self.flying:
+            self._watch_idle()
+
+    def _watch_idle(self) -> None:
+        """Auto-disarm: after landing, or when armed without ever taking off."""
+        since_arming = (self.now_ms - self._armed_ms) / 1000.0
+        since_landing = (self.now_ms - self._landed_ms) / 1000.0
+        if self._flown_since_arming:
+            if 0.0 <= self._p["COM_DISARM_LAND"] <= since_landing:
+                self._stop("landing")
+        elif 0.0 <= self._p["COM_DISARM_PRFLT"] <= since_arming - DISARM_PREFLIGHT_EXTRA_S:
+            self._stop("auto preflight disarming")
+
+    def _stop(self, why: str) -> None:
+        self.armed = False
+        self.flying = False
+        self.landed = Landed.ON_GROUND
+        self.failsafe = ""
+        self._ramp_ms = None
+        self._battery_action = None
+        self.say(f"Disarmed by {why}")
+        self.intended = self._mode_after_disarm
+        self._enter(self.intended)
+
+    # Failsafes
+
+    def _watch_stream(self) -> None:
+        alive = self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"])
+        if self.intended is not Mode.OFFBOARD or self.failsafe == "battery":
+            return
+        if self.failsafe == "offboard":
+            if alive:
+                self.failsafe = ""
+                self._enter(Mode.OFFBOARD)
+        elif not alive:
+            self.failsafe = "offboard"
+            self.say("Failsafe activated", CRITICAL)
+            self._enter(FALLBACK[int(self._p["COM_OBL_RC_ACT"])])
+
+    def _watch_battery(self) -> None:
+        """Warn at BAT_LOW_THR and BAT_CRIT_THR; act at the critical and emergency level by COM_LOW_BAT_ACT."""
+        p = self._p
+        remaining = self.battery.remaining(p)
+        levels = (p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
+        level = sum(remaining < threshold for threshold in levels)
+        if level > self._battery_level:
+            self._battery_level = level
+            self.say(("Low battery", "Critical battery", "Emergency battery level")[level - 1], WARNING)
+            action = int(p["COM_LOW_BAT_ACT"])
+            if level >= 2 and action and self.flying:
+                then = Mode.RTL if action == 3 and level == 2 else Mode.LAND
+                if self.failsafe != "battery":
+                    self.failsafe = "battery"
+                    self.say("Failsafe activated", CRITICAL)
+                self._battery_action = (self.now_ms + int(p["COM_FAIL_ACT_T"] * 1000.0), then)
+                if self.mode not in (Mode.RTL, Mode.LAND):
+                    self._enter(Mode.LOITER)
+        if self._battery_action is not None and self.now_ms >= self._battery_action[0]:
+            _, then = self._battery_action
+            self._battery_action = None
+            if self.mode is not then:
+                self._enter(then)

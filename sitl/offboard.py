@@ -1,0 +1,123 @@
+"""The OFFBOARD setpoint stream: what arrives, whether it is alive, and what is flown of it."""
+
+import math
+from dataclasses import dataclass
+
+from sitl.control import Setpoint
+from sitl.px4 import OFFBOARD_LOSS_EXTRA_MS, OFFBOARD_SETTLE_MS
+
+NAN = math.nan
+NAN3 = (NAN, NAN, NAN)
+FRAME_LOCAL_NED = 1
+FRAME_BODY_NED = 8
+IGNORE_YAW = 1024
+IGNORE_YAW_RATE = 2048
+FORCE = 512
+
+
+class SetpointRefusedError(ValueError):
+    """A setpoint that is not flown; the text is PX4's STATUSTEXT."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """The fields of SET_POSITION_TARGET_LOCAL_NED that are flown; NaN where ignored or not finite."""
+
+    position: tuple[float, float, float]
+    velocity: tuple[float, float, float]
+    acceleration: tuple[float, float, float]
+    yaw: float
+    yaw_rate: float
+
+
+def masked(values: tuple[float, float, float], mask: int, first_bit: int) -> tuple[float, float, float]:
+    """The values whose ignore bits are clear; NaN for the others and for infinities."""
+    x, y, z = (
+        value if not mask >> (first_bit + axis) & 1 and math.isfinite(value) else NAN
+        for axis, value in enumerate(values)
+    )
+    return x, y, z
+
+
+def rotated(values: tuple[float, float, float], yaw: float) -> tuple[float, float, float]:
+    """From the body's heading to north-east."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return (c * values[0] - s * values[1], s * values[0] + c * values[1], values[2])
+
+
+def read_target(
+    frame: int,
+    mask: int,
+    position: tuple[float, float, float],
+    velocity: tuple[float, float, float],
+    acceleration: tuple[float, float, float],
+    yaw: float,
+    yaw_rate: float,
+    heading: float,
+) -> Target:
+    """Understand a SET_POSITION_TARGET_LOCAL_NED as PX4 does.
+
+    Raises SetpointRefusedError for frames other than 1 and 8, for force setpoints and when nothing is left to fly.
+    In frame 8 (body) positions mean nothing and are ignored.
+    """
+    if frame not in (FRAME_LOCAL_NED, FRAME_BODY_NED):
+        raise SetpointRefusedError(f"SET_POSITION_TARGET_LOCAL_NED coordinate frame {frame} unsupported")
+    if mask & FORCE:
+        raise SetpointRefusedError("SET_POSITION_TARGET_LOCAL_NED force not supported")
+    infinite = any(
+        math.isinf(value) and not mask >> bit & 1 for bit, value in enumerate((*position, *velocity, *acceleration))
+    )
+    position, velocity, acceleration = (
+        masked(position, mask, 0),
+        masked(velocity, mask, 3),
+        masked(acceleration, mask, 6),
+    )
+    if not infinite and all(math.isnan(value) for value in (*position, *velocity, *acceleration)):
+        raise SetpointRefusedError("SET_POSITION_TARGET_LOCAL_NED invalid")
+    if frame == FRAME_BODY_NED:
+        position = NAN3
+        velocity = rotated(velocity, heading)
+        acceleration = rotated(acceleration, heading)
+    return Target(
+        position,
+        velocity,
+        acceleration,
+        NAN if mask & IGNORE_YAW or not math.isfinite(yaw) else yaw,
+        NAN if mask & IGNORE_YAW_RATE or not math.isfinite(yaw_rate) else yaw_rate,
+    )
+
+
+def flown(target: Target) -> Setpoint:
+    """The setpoint flown for a target: all three axes controlled, north and east alike, or else a brake to zero."""
+    known = [
+        [math.isfinite(value) for value in values] for values in (target.position, target.velocity, target.acceleration)
+    ]
+    complete = all(any(kind[axis] for kind in known) for axis in range(3))
+    paired = all(kind[0] == kind[1] for kind in known)
+    if not (complete and paired):
+        return Setpoint(NAN3, (0.0, 0.0, 0.0), NAN3, target.yaw, target.yaw_rate)
+    return Setpoint(target.position, target.velocity, target.acceleration, target.yaw, target.yaw_rate)
+
+
+class OffboardStream:
+    """The latest setpoint and how alive the stream is, on vehicle time."""
+
+    def __init__(self) -> None:
+        self.setpoint: Setpoint | None = None
+        self._first_ms = 0
+        self._last_ms = 0
+
+    def receive(self, target: Target, now_ms: int, loss_s: float) -> None:
+        """A valid setpoint came; after a silence a new stream begins with it."""
+        if self.setpoint is None or not self.alive(now_ms, loss_s):
+            self._first_ms = now_ms
+        self.setpoint = flown(target)
+        self._last_ms = now_ms
+
+    def alive(self, now_ms: int, loss_s: float) -> bool:
+        """Whether the last setpoint is younger than COM_OF_LOSS_T (and what PX4 takes to notice)."""
+        return self.setpoint is not None and now_ms - self._last_ms < loss_s * 1000.0 + OFFBOARD_LOSS_EXTRA_MS
+
+    def ready(self, now_ms: int, loss_s: float) -> bool:
+        """Whether OFFBOARD may be entered: alive, and not begun this very instant."""
+        return self.alive(now_ms, loss_s) and now_ms - self._first_ms >= OFFBOARD_SETTLE_MS

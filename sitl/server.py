@@ -1,0 +1,212 @@
+"""The server: runs one autopilot on its links, paced by the wall clock or stepped by a control client."""
+
+import selectors
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from sitl.autopilot import TICK_MS, Autopilot
+from sitl.control_socket import ControlSocket, read_advance
+from sitl.flight_model import compile_now
+from sitl.link import Link, PortError
+from sitl.parameters import ParameterError, Parameters
+from sitl.px4 import COMPANION_RATES_HZ, GCS_RATES_HZ
+from sitl.telemetry import Origin
+from sitl.vehicle_setup import gains, rotorcraft
+
+BEHIND_MAX_S = 0.1
+"""A paced vehicle that is further behind the wall clock lets the wall clock go, rather than rush."""
+LOCKSTEP_EPOCH_US = 1_767_225_600_000_000
+"""SYSTEM_TIME at boot in lockstep, 2026-01-01: the same inputs give the same bytes."""
+COMPILE_NOTICE_S = 1.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run; ports are UDP on loopback, 0 picks a free one to listen on."""
+
+    gcs_port: int = 14550
+    companion_port: int = 14540
+    gcs_bind: int = 18570
+    companion_bind: int = 14580
+    speed: float = 1.0
+    lockstep: bool = False
+    control_port: int | None = None
+    exit_when_landed: bool = False
+    seed: int = 0
+    origin: Origin = field(default_factory=lambda: Origin(47.397743, 8.545594, 489.4))
+    parameters: tuple[str, ...] = ()
+
+
+class Stopped(Exception):  # noqa: N818  # not an error: somebody asked the process to end
+    """SIGINT, SIGTERM or `quit`."""
+
+
+@contextmanager
+def told_if_slow() -> Iterator[None]:
+    """Say what takes so long when the flight model has to be compiled."""
+    notice = threading.Timer(
+        COMPILE_NOTICE_S, print, ("compiling the flight model, once ...",), {"flush": True, "file": sys.stderr}
+    )
+    notice.start()
+    try:
+        yield
+    finally:
+        notice.cancel()
+
+
+class Server:
+    """Sockets and clock of one autopilot."""
+
+    def __init__(self, options: Options) -> None:
+        """Raises PortError and ParameterError."""
+        p = Parameters()
+        for assignment in options.parameters:
+            p.assign(assignment)
+        with told_if_slow():
+            compile_now(gains(p), rotorcraft(p))
+        self._options = options
+        self._was_controlled = False
+        self._open: list[Link | ControlSocket] = []
+        try:
+            system = int(p["MAV_SYS_ID"])
+            self._companion = self._opened(
+                Link("companion", options.companion_bind, options.companion_port, COMPANION_RATES_HZ, system)
+            )
+            self._gcs = self._opened(Link("gcs", options.gcs_bind, options.gcs_port, GCS_RATES_HZ, system))
+            self._control = ControlSocket(options.control_port or 0) if self._controllable else None
+        except PortError:
+            self.close()
+            raise
+        if self._control is not None:
+            self._open.append(self._control)
+        epoch_us = LOCKSTEP_EPOCH_US if options.lockstep else time.time_ns() // 1000
+        self._autopilot = Autopilot(p, options.origin, (self._companion, self._gcs), options.seed, epoch_us)
+        self._selector = selectors.DefaultSelector()
+        if self._control is not None:
+            self._selector.register(self._control.listener, selectors.EVENT_READ)
+
+    def _opened(self, link: Link) -> Link:
+        self._open.append(link)
+        return link
+
+    @property
+    def _controllable(self) -> bool:
+        return self._options.lockstep or self._options.control_port is not None
+
+    def describe(self) -> list[str]:
+        """One line per socket, as printed at start."""
+        lines = [
+            f"{link.name} 127.0.0.1:{link.port} -> 127.0.0.1:{link.peer[1]}" for link in (self._companion, self._gcs)
+        ]
+        if self._control is not None:
+            lines.append(f"control 127.0.0.1:{self._control.port}")
+        return lines
+
+    def run(self) -> None:
+        """Fly until stopped, told to quit, or landed (`exit_when_landed`)."""
+        wall = time.monotonic()
+        vehicle_ms = self._autopilot.now_ms
+        while not self._finished():
+            if self._stepped:
+                self._serve_control(None)
+                wall, vehicle_ms = time.monotonic(), self._autopilot.now_ms
+                continue
+            due = wall + (self._autopilot.now_ms + TICK_MS - vehicle_ms) / 1000.0 / self._options.speed
+            wait = due - time.monotonic()
+            if wait > 0.0 or self._control is not None:
+                self._serve_control(max(wait, 0.0))
+                if self._stepped or time.monotonic() < due:
+                    continue
+            self._autopilot.advance(TICK_MS, receive_each_tick=True)
+            if time.monotonic() - due > BEHIND_MAX_S:
+                wall, vehicle_ms = time.monotonic(), self._autopilot.now_ms
+
+    @property
+    def _stepped(self) -> bool:
+        """Whether a control client owns the clock, or is waited for."""
+        if self._control is None:
+            return False
+        return self._control.connected or (self._options.lockstep and not self._was_controlled)
+
+    def _finished(self) -> bool:
+        commander = self._autopilot.vehicle.commander
+        if not self._options.exit_when_landed or self._stepped or commander.armed:
+            return False
+        return commander.has_flown or self._was_controlled
+
+    def _serve_control(self, timeout: float | None) -> None:
+        """Wait for control clients, at most `timeout` s of wall clock, and answer them."""
+        control = self._control
+        if control is None:
+            time.sleep(timeout or 0.0)
+            return
+        for key, _ in self._selector.select(timeout):
+            if key.fileobj is control.listener:
+                client = control.accept()
+                if client is not None:
+                    self._selector.register(client, selectors.EVENT_READ)
+                    self._was_controlled = True
+                continue
+            for line in control.lines():
+                self._answer(control, line)
+            if not control.connected:
+                self._selector.unregister(key.fileobj)
+
+    def _answer(self, control: ControlSocket, line: str) -> None:
+        request, _, argument = line.partition(" ")
+        if request == "hello" and not argument:
+            control.answer(f"aerialstar-sitl 1 {self._autopilot.now_ms}")
+        elif request == "advance":
+            try:
+                duration = read_advance(argument)
+            except ValueError as error:
+                control.answer(f"error {error}")
+                return
+            before = self._companion.sent
+            self._autopilot.receive()
+            self._autopilot.advance(duration)
+            control.answer(f"advanced {self._autopilot.now_ms} {self._companion.sent - before}")
+        elif request == "quit" and not argument:
+            control.answer("bye")
+            raise Stopped
+        else:
+            control.answer(f"error {line!r}: expected hello, advance <ms> or quit")
+
+    def close(self) -> None:
+        """Close all sockets."""
+        for opened in self._open:
+            opened.close()
+
+
+def run(options: Options) -> int:
+    """Run a SITL in this process until it ends; the exit code. Bad input is told in one line on stderr."""
+    stopping = False
+
+    def stop(_signal: int, _frame: object) -> None:
+        nonlocal stopping
+        if not stopping:  # a second signal must not interrupt the closing
+            stopping = True
+            raise Stopped
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    server = None
+    try:
+        server = Server(options)
+        for line in server.describe():
+            print(line, flush=True)
+        server.run()
+    except Stopped:
+        return 0
+    except (PortError, ParameterError) as error:
+        print(f"sitl: {error}", file=sys.stderr)
+        return 2
+    finally:
+        if server is not None:
+            server.close()
+    return 0

@@ -1,0 +1,178 @@
+"""The command protocol: COMMAND_LONG, COMMAND_INT and SET_MODE, each answered with COMMAND_ACK at once.
+
+A handler returns the result, or None where PX4 does not answer at all.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sitl.commander import Result
+from sitl.frames import Message, name_of, pack
+from sitl.link import Link
+from sitl.px4 import STICK_MAIN_MODES, Mode
+from sitl.telemetry import MESSAGES, Vehicle
+
+FORCE = 21196.0
+"""COMPONENT_ARM_DISARM.param2 that overrides the checks."""
+MESSAGE_INTERVAL_ID = 244
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command whichever way it came; x, y are degrees and z metres."""
+
+    number: int
+    p: tuple[float, float, float, float]
+    x: float
+    y: float
+    z: float
+
+
+def arm_disarm(v: Vehicle, _: Link, command: Command) -> Result | None:
+    force = command.p[1] == FORCE
+    if command.p[0] == 1.0:
+        return v.commander.arm(force)
+    if command.p[0] == 0.0:
+        return v.commander.disarm(force)
+    return None
+
+
+def do_set_mode(v: Vehicle, _: Link, command: Command) -> Result:
+    _base, main, sub, _p4 = command.p
+    return choose_mode(v, main, sub)
+
+
+def choose_mode(v: Vehicle, main: float, sub: float) -> Result:
+    """Mode by PX4's main and sub mode numbers."""
+    if main in STICK_MAIN_MODES:
+        v.commander.say("Mode needs manual control, and there is none", 2)
+        return Result.TEMPORARILY_REJECTED
+    for mode in Mode:
+        if mode.value[0] == main and (mode.value[1] == sub or main != 4):
+            return v.commander.set_mode(mode)
+    return Result.UNSUPPORTED
+
+
+def takeoff(v: Vehicle, _: Link, command: Command) -> Result:
+    return v.commander.takeoff(command.z)
+
+
+def land(v: Vehicle, _: Link, command: Command) -> Result:
+    return v.commander.set_mode(Mode.LAND)
+
+
+def return_to_launch(v: Vehicle, _: Link, command: Command) -> Result:
+    return v.commander.set_mode(Mode.RTL)
+
+
+def mission_start(v: Vehicle, _: Link, command: Command) -> Result:
+    return v.commander.set_mode(Mode.MISSION)
+
+
+def set_home(v: Vehicle, _: Link, command: Command) -> Result:
+    if command.p[0] == 1.0:
+        v.commander.set_home(v.position())
+        return Result.ACCEPTED
+    if not all(map(math.isfinite, (command.x, command.y, command.z))):
+        return Result.DENIED
+    north, east = v.origin.local(command.x, command.y)
+    v.commander.set_home((north, east, v.origin.altitude - command.z))
+    return Result.ACCEPTED
+
+
+def request_message(v: Vehicle, link: Link, command: Command) -> Result:
+    number = command.p[0]
+    name = name_of(int(number)) if math.isfinite(number) else None
+    if name == "MESSAGE_INTERVAL":
+        return get_message_interval(v, link, Command(0, (command.p[1], 0.0, 0.0, 0.0), 0.0, 0.0, 0.0))
+    if name not in MESSAGES:
+        return Result.DENIED
+    payload = MESSAGES[name](v)
+    if payload is None:
+        return Result.TEMPORARILY_REJECTED
+    link.send(payload)
+    return Result.ACCEPTED
+
+
+def set_message_interval(v: Vehicle, link: Link, command: Command) -> Result:
+    number, interval_us = command.p[:2]
+    name = name_of(int(number)) if math.isfinite(number) else None
+    if name not in MESSAGES or not math.isfinite(interval_us):
+        return Result.FAILED
+    link.set_interval(name, interval_us, v.now_ms)
+    return Result.ACCEPTED
+
+
+def get_message_interval(v: Vehicle, link: Link, command: Command) -> Result:
+    name = name_of(int(command.p[0])) if math.isfinite(command.p[0]) else None
+    if name not in MESSAGES:
+        return Result.DENIED
+    link.send(pack("MESSAGE_INTERVAL", message_id=int(command.p[0]), interval_us=link.interval_us(name)))
+    return Result.ACCEPTED
+
+
+def _send(name: str) -> Callable[[Vehicle, Link, Command], Result]:
+    def send(v: Vehicle, link: Link, command: Command) -> Result:
+        payload = MESSAGES[name](v)
+        if payload is None:
+            return Result.TEMPORARILY_REJECTED
+        link.send(payload)
+        return Result.ACCEPTED
+
+    return send
+
+
+HANDLERS: dict[int, Callable[[Vehicle, Link, Command], Result | None]] = {
+    20: return_to_launch,
+    21: land,
+    22: takeoff,
+    176: do_set_mode,
+    179: set_home,
+    300: mission_start,
+    400: arm_disarm,
+    410: _send("HOME_POSITION"),
+    510: get_message_interval,
+    511: set_message_interval,
+    512: request_message,
+    520: _send("AUTOPILOT_VERSION"),
+}
+"""By MAV_CMD number; every other command is UNSUPPORTED."""
+
+
+def answer(v: Vehicle, link: Link, message: Message, command: Command) -> None:
+    """Do a command and send its COMMAND_ACK."""
+    handler = HANDLERS.get(command.number)
+    result = Result.UNSUPPORTED if handler is None else handler(v, link, command)
+    if result is not None:
+        acknowledge(link, message, command.number, result)
+
+
+def acknowledge(link: Link, message: Message, number: int, result: Result) -> None:
+    link.send(
+        pack(
+            "COMMAND_ACK",
+            command=number,
+            result=int(result),
+            progress=0,
+            result_param2=0,
+            target_system=message.get_srcSystem(),
+            target_component=message.get_srcComponent(),
+        )
+    )
+
+
+def command_long(v: Vehicle, link: Link, message: Message) -> None:
+    p = (message.param1, message.param2, message.param3, message.param4)
+    answer(v, link, message, Command(message.command, p, message.param5, message.param6, message.param7))
+
+
+def command_int(v: Vehicle, link: Link, message: Message) -> None:
+    p = (message.param1, message.param2, message.param3, message.param4)
+    answer(v, link, message, Command(message.command, p, message.x * 1e-7, message.y * 1e-7, message.z))
+
+
+def set_mode(v: Vehicle, link: Link, message: Message) -> None:
+    """SET_MODE is DO_SET_MODE in an older dress, and acknowledged as such."""
+    result = choose_mode(v, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
+    acknowledge(link, message, 176, result)

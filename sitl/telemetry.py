@@ -1,0 +1,514 @@
+"""What the vehicle says of itself: one function per MAVLink message, from the state of this moment.
+
+A function returns None while the vehicle does not know yet (no position, no home).
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl import px4
+from sitl.autonomy import vector
+from sitl.commander import Commander
+from sitl.control import Controller
+from sitl.flight_model import FlightModel
+from sitl.frames import Payload, pack
+from sitl.parameters import Parameters
+from sitl.physics import Body, heading
+
+EARTH_RADIUS_M = 6371000.0
+"""CONSTANTS_RADIUS_OF_EARTH in PX4."""
+NAN = math.nan
+MAV_STATE_UNINIT, MAV_STATE_STANDBY, MAV_STATE_ACTIVE, MAV_STATE_CRITICAL = 0, 3, 4, 5
+ACCELEROMETER_NOISE, GYRO_NOISE, GPS_NOISE_M = 0.03, 0.002, 0.1
+"""Standard deviations [m/s2, rad/s, m] of what HIGHRES_IMU and GPS_RAW_INT show; control flies on the true state."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What the local origin is on the globe [deg, deg, m above mean sea level]."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+    def globe(self, north: float, east: float) -> tuple[float, float]:
+        """Latitude and longitude [deg] of a local point."""
+        latitude = self.latitude + math.degrees(north / EARTH_RADIUS_M)
+        around = EARTH_RADIUS_M * math.cos(math.radians(self.latitude))
+        return latitude, self.longitude + math.degrees(east / around)
+
+    def local(self, latitude: float, longitude: float) -> tuple[float, float]:
+        """North and east [m] of a point on the globe."""
+        around = EARTH_RADIUS_M * math.cos(math.radians(self.latitude))
+        return (
+            math.radians(latitude - self.latitude) * EARTH_RADIUS_M,
+            math.radians(longitude - self.longitude) * around,
+        )
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """All that telemetry is made of."""
+
+    model: FlightModel
+    commander: Commander
+    parameters: Parameters
+    origin: Origin
+    noise: np.random.Generator
+    epoch_us: int
+    """Unix time of boot [us]."""
+
+    @property
+    def body(self) -> Body:
+        return self.model.body
+
+    @property
+    def controller(self) -> Controller:
+        return self.model.controller
+
+    def position(self) -> tuple[float, float, float]:
+        """NED from the local origin [m]."""
+        return vector(self.body.position)
+
+    @property
+    def now_ms(self) -> int:
+        return self.commander.now_ms
+
+
+def euler(q: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [rad] of an attitude."""
+    w, x, y, z = q.tolist()
+    return (
+        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        math.asin(min(max(2 * (w * y - x * z), -1.0), 1.0)),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+
+
+def compass(yaw: float) -> float:
+    """Yaw [rad] as degrees in [0, 360)."""
+    return math.degrees(yaw) % 360.0
+
+
+def located(v: Vehicle) -> bool:
+    """Whether the estimator has a position."""
+    return v.now_ms >= px4.POSITION_MS
+
+
+def heartbeat(v: Vehicle) -> Payload | None:
+    if v.now_ms < px4.HEARTBEAT_MS:
+        return None
+    commander = v.commander
+    if commander.armed:
+        status = MAV_STATE_ACTIVE if commander.ready else MAV_STATE_CRITICAL
+    else:
+        status = MAV_STATE_STANDBY if commander.ready else MAV_STATE_UNINIT
+    return pack(
+        "HEARTBEAT",
+        type=int(v.parameters["MAV_TYPE"]),
+        autopilot=12,
+        base_mode=px4.BASE_MODE[commander.mode] | (0x80 if commander.armed else 0),
+        custom_mode=px4.custom_mode(commander.mode),
+        system_status=status,
+        mavlink_version=3,
+    )
+
+
+def current_mode(v: Vehicle) -> Payload:
+    return pack(
+        "CURRENT_MODE",
+        standard_mode=0,
+        custom_mode=px4.custom_mode(v.commander.mode),
+        intended_custom_mode=px4.custom_mode(v.commander.intended),
+    )
+
+
+def sys_status(v: Vehicle) -> Payload:
+    ready = located(v)
+    health = px4.SENSORS_HEALTH[ready]
+    if v.commander.ready:
+        health |= px4.PREARM_CHECK
+    battery, p = v.commander.battery, v.parameters
+    volts = battery.voltage(p)
+    return pack(
+        "SYS_STATUS",
+        onboard_control_sensors_present=px4.SENSORS_PRESENT[ready],
+        onboard_control_sensors_enabled=px4.SENSORS_ENABLED[ready],
+        onboard_control_sensors_health=health,
+        load=100,
+        voltage_battery=round(volts * 1000.0),
+        current_battery=min(round(battery.power_w / volts * 100.0), 32767),
+        battery_remaining=math.ceil(battery.remaining(p) * 100.0),
+        drop_rate_comm=0,
+        errors_comm=0,
+        errors_count1=0,
+        errors_count2=0,
+        errors_count3=0,
+        errors_count4=0,
+        onboard_control_sensors_present_extended=0,
+        onboard_control_sensors_enabled_extended=0,
+        onboard_control_sensors_health_extended=1,
+    )
+
+
+def battery_status(v: Vehicle) -> Payload:
+    battery, p = v.commander.battery, v.parameters
+    volts = battery.voltage(p)
+    return pack(
+        "BATTERY_STATUS",
+        id=0,
+        battery_function=1,
+        type=1,
+        temperature=32767,
+        voltages=[round(volts * 1000.0)] + [65535] * 9,
+        current_battery=min(round(battery.power_w / volts * 100.0), 32767),
+        current_consumed=round((1.0 - battery.remaining(p)) * p["BAT1_CAPACITY"]),
+        energy_consumed=round(battery.used_j / 100.0),
+        battery_remaining=math.ceil(battery.remaining(p) * 100.0),
+        time_remaining=0,
+        charge_state=1
+        + sum(battery.remaining(p) < p[name] for name in ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")),
+        voltages_ext=[0, 0, 0, 0],
+        mode=0,
+        fault_bitmask=0,
+    )
+
+
+def extended_sys_state(v: Vehicle) -> Payload:
+    return pack("EXTENDED_SYS_STATE", vtol_state=0, landed_state=int(v.commander.landed))
+
+
+def attitude(v: Vehicle) -> Payload:
+    roll, pitch, yaw = euler(v.body.attitude)
+    p, q, r = vector(v.body.rates)
+    return pack(
+        "ATTITUDE",
+        time_boot_ms=v.now_ms,
+        roll=roll,
+        pitch=pitch,
+        yaw=yaw,
+        rollspeed=p,
+        pitchspeed=q,
+        yawspeed=r,
+    )
+
+
+def attitude_quaternion(v: Vehicle) -> Payload:
+    w, x, y, z = v.body.attitude.tolist()
+    p, q, r = vector(v.body.rates)
+    return pack(
+        "ATTITUDE_QUATERNION",
+        time_boot_ms=v.now_ms,
+        q1=w,
+        q2=x,
+        q3=y,
+        q4=z,
+        rollspeed=p,
+        pitchspeed=q,
+        yawspeed=r,
+        repr_offset_q=[0.0, 0.0, 0.0, 0.0],
+    )
+
+
+def local_position_ned(v: Vehicle) -> Payload | None:
+    if not located(v):
+        return None
+    x, y, z = vector(v.body.position)
+    vx, vy, vz = vector(v.body.velocity)
+    return pack("LOCAL_POSITION_NED", time_boot_ms=v.now_ms, x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
+
+
+def global_position_int(v: Vehicle) -> Payload | None:
+    if not located(v):
+        return None
+    x, y, z = vector(v.body.position)
+    vx, vy, vz = vector(v.body.velocity)
+    latitude, longitude = v.origin.globe(x, y)
+    home_down = v.commander.home[2] if v.commander.home is not None else 0.0
+    return pack(
+        "GLOBAL_POSITION_INT",
+        time_boot_ms=v.now_ms,
+        lat=round(latitude * 1e7),
+        lon=round(longitude * 1e7),
+        alt=round((v.origin.altitude - z) * 1000.0),
+        relative_alt=round((home_down - z) * 1000.0),
+        vx=round(vx * 100.0),
+        vy=round(vy * 100.0),
+        vz=round(vz * 100.0),
+        hdg=int(compass(heading(v.body.attitude)) * 100.0),
+    )
+
+
+def odometry(v: Vehicle) -> Payload | None:
+    if not located(v):
+        return None
+    x, y, z = vector(v.body.position)
+    vx, vy, vz = vector(v.body.velocity)
+    p, q, r = vector(v.body.rates)
+    return pack(
+        "ODOMETRY",
+        time_usec=v.now_ms * 1000,
+        frame_id=1,
+        child_frame_id=1,
+        x=x,
+        y=y,
+        z=z,
+        q=v.body.attitude.tolist(),
+        vx=vx,
+        vy=vy,
+        vz=vz,
+        rollspeed=p,
+        pitchspeed=q,
+        yawspeed=r,
+        pose_covariance=[NAN] * 21,
+        velocity_covariance=[NAN] * 21,
+        reset_counter=0,
+        estimator_type=8,
+        quality=0,
+    )
+
+
+def altitude(v: Vehicle) -> Payload | None:
+    if not located(v):
+        return None
+    up = -float(v.body.position[2])
+    home_up = -v.commander.home[2] if v.commander.home is not None else 0.0
+    return pack(
+        "ALTITUDE",
+        time_usec=v.now_ms * 1000,
+        altitude_monotonic=v.origin.altitude + up,
+        altitude_amsl=v.origin.altitude + up,
+        altitude_local=up,
+        altitude_relative=up - home_up,
+        altitude_terrain=0.0,
+        bottom_clearance=up,
+    )
+
+
+def vfr_hud(v: Vehicle) -> Payload | None:
+    if not located(v):
+        return None
+    vx, vy, vz = vector(v.body.velocity)
+    return pack(
+        "VFR_HUD",
+        airspeed=0.0,
+        groundspeed=math.hypot(vx, vy),
+        heading=int(compass(heading(v.body.attitude))),
+        throttle=round(100.0 * float(np.linalg.norm(v.controller.thrust_setpoint))),
+        alt=v.origin.altitude - float(v.body.position[2]),
+        climb=-vz,
+    )
+
+
+def gps_raw_int(v: Vehicle) -> Payload:
+    x, y, z = (vector(v.body.position) + v.noise.normal(0.0, GPS_NOISE_M, 3)).tolist()
+    vx, vy, _ = vector(v.body.velocity)
+    latitude, longitude = v.origin.globe(x, y)
+    return pack(
+        "GPS_RAW_INT",
+        time_usec=v.now_ms * 1000,
+        fix_type=3,
+        lat=round(latitude * 1e7),
+        lon=round(longitude * 1e7),
+        alt=round((v.origin.altitude - z) * 1000.0),
+        eph=70,
+        epv=110,
+        vel=round(math.hypot(vx, vy) * 100.0),
+        cog=int(compass(math.atan2(vy, vx)) * 100.0),
+        satellites_visible=10,
+        alt_ellipsoid=round((v.origin.altitude - z) * 1000.0),
+        h_acc=900,
+        v_acc=1780,
+        vel_acc=400,
+        hdg_acc=0,
+        yaw=0,
+    )
+
+
+def highres_imu(v: Vehicle) -> Payload:
+    force = (v.body.specific_force + v.noise.normal(0.0, ACCELEROMETER_NOISE, 3)).tolist()
+    rates = (v.body.rates + v.noise.normal(0.0, GYRO_NOISE, 3)).tolist()
+    amsl = v.origin.altitude - float(v.body.position[2])
+    yaw = heading(v.body.attitude)
+    return pack(
+        "HIGHRES_IMU",
+        time_usec=v.now_ms * 1000,
+        xacc=force[0],
+        yacc=force[1],
+        zacc=force[2],
+        xgyro=rates[0],
+        ygyro=rates[1],
+        zgyro=rates[2],
+        xmag=0.21 * math.cos(yaw),
+        ymag=-0.21 * math.sin(yaw),
+        zmag=0.43,
+        abs_pressure=1013.25 * (1.0 - 2.25577e-5 * amsl) ** 5.25588,
+        diff_pressure=0.0,
+        pressure_alt=amsl,
+        temperature=15.0 - 0.0065 * amsl,
+        fields_updated=0x1BFF,
+        id=0,
+    )
+
+
+def servo_output_raw(v: Vehicle) -> Payload:
+    pulses = [round(1000.0 + 1000.0 * u) for u in v.controller.commands.tolist()] if v.commander.armed else [900] * 4
+    outputs = {f"servo{i + 1}_raw": pulse for i, pulse in enumerate(pulses + [900] * 12)}
+    return pack("SERVO_OUTPUT_RAW", time_usec=v.now_ms * 1000 & 0xFFFFFFFF, port=0, **outputs)
+
+
+def attitude_target(v: Vehicle) -> Payload:
+    p, q, r = vector(v.controller.rate_setpoint)
+    return pack(
+        "ATTITUDE_TARGET",
+        time_boot_ms=v.now_ms,
+        type_mask=0,
+        q=v.controller.attitude_setpoint.tolist(),
+        body_roll_rate=p,
+        body_pitch_rate=q,
+        body_yaw_rate=r,
+        thrust=float(np.linalg.norm(v.controller.thrust_setpoint)),
+    )
+
+
+def position_target_local_ned(v: Vehicle) -> Payload:
+    vx, vy, vz = vector(v.controller.velocity_setpoint)
+    ax, ay, az = vector(v.controller.acceleration_setpoint)
+    return pack(
+        "POSITION_TARGET_LOCAL_NED",
+        time_boot_ms=v.now_ms,
+        coordinate_frame=1,
+        type_mask=7,
+        x=NAN,
+        y=NAN,
+        z=NAN,
+        vx=vx,
+        vy=vy,
+        vz=vz,
+        afx=ax,
+        afy=ay,
+        afz=az,
+        yaw=euler(v.controller.attitude_setpoint)[2],
+        yaw_rate=0.0,
+    )
+
+
+def estimator_status(v: Vehicle) -> Payload:
+    ready = located(v)
+    good = 0.02 if ready else NAN
+    return pack(
+        "ESTIMATOR_STATUS",
+        time_usec=v.now_ms * 1000,
+        flags=px4.ESTIMATOR_READY if ready else px4.ESTIMATOR_WAITING,
+        vel_ratio=good,
+        pos_horiz_ratio=good,
+        pos_vert_ratio=good,
+        mag_ratio=good,
+        hagl_ratio=good,
+        tas_ratio=NAN,
+        pos_horiz_accuracy=0.3 if ready else 14.14,
+        pos_vert_accuracy=0.3 if ready else 4.47,
+    )
+
+
+def system_time(v: Vehicle) -> Payload:
+    return pack("SYSTEM_TIME", time_unix_usec=v.epoch_us + v.now_ms * 1000, time_boot_ms=v.now_ms)
+
+
+def home_position(v: Vehicle) -> Payload | None:
+    home = v.commander.home
+    if home is None:
+        return None
+    latitude, longitude = v.origin.globe(home[0], home[1])
+    return pack(
+        "HOME_POSITION",
+        latitude=round(latitude * 1e7),
+        longitude=round(longitude * 1e7),
+        altitude=round((v.origin.altitude - home[2]) * 1000.0),
+        x=home[0],
+        y=home[1],
+        z=home[2],
+        q=[1.0, 0.0, 0.0, 0.0],
+        approach_x=0.0,
+        approach_y=0.0,
+        approach_z=0.0,
+        time_usec=v.now_ms * 1000,
+    )
+
+
+def gps_global_origin(v: Vehicle) -> Payload | None:
+    if not located(v):
+        return None
+    return pack(
+        "GPS_GLOBAL_ORIGIN",
+        latitude=round(v.origin.latitude * 1e7),
+        longitude=round(v.origin.longitude * 1e7),
+        altitude=round(v.origin.altitude * 1000.0),
+        time_usec=v.now_ms * 1000,
+    )
+
+
+def autopilot_version(v: Vehicle) -> Payload:
+    return pack(
+        "AUTOPILOT_VERSION",
+        capabilities=px4.CAPABILITIES,
+        uid=1,
+        flight_sw_version=0x01100000,
+        middleware_sw_version=0x01100000,
+        os_sw_version=0,
+        board_version=0,
+        vendor_id=0,
+        product_id=0,
+        flight_custom_version=[0] * 8,
+        middleware_custom_version=[0] * 8,
+        os_custom_version=[0] * 8,
+        uid2=[0] * 18,
+    )
+
+
+def mission_current(v: Vehicle) -> Payload:
+    return pack("MISSION_CURRENT", seq=0, total=65535, mission_state=1, mission_mode=0)
+
+
+MESSAGES: dict[str, Callable[[Vehicle], Payload | None]] = {
+    function.__name__.upper(): function
+    for function in (
+        heartbeat,
+        current_mode,
+        sys_status,
+        battery_status,
+        extended_sys_state,
+        attitude,
+        attitude_quaternion,
+        local_position_ned,
+        global_position_int,
+        odometry,
+        altitude,
+        vfr_hud,
+        gps_raw_int,
+        highres_imu,
+        servo_output_raw,
+        attitude_target,
+        position_target_local_ned,
+        estimator_status,
+        system_time,
+        home_position,
+        gps_global_origin,
+        autopilot_version,
+        mission_current,
+    )
+}
+"""What can be streamed or requested, by message name."""
+
+
+def statustexts(text: str, severity: int, number: int) -> list[Payload]:
+    """A STATUSTEXT in chunks of 50 characters; a full last chunk is followed by an empty one, which ends it."""
+    raw = text.encode("ascii", "replace")
+    chunks = [raw[i : i + 50] for i in range(0, len(raw) + 1, 50)]
+    return [
+        pack("STATUSTEXT", severity=severity, text=chunk, id=number, chunk_seq=sequence)
+        for sequence, chunk in enumerate(chunks)
+    ]

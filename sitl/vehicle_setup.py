@@ -1,0 +1,54 @@
+"""What the flight model needs, read from the parameters."""
+
+import math
+
+from sitl.control import Gains
+from sitl.parameters import Parameters
+from sitl.physics import GRAVITY, Rotorcraft
+
+
+def rotorcraft(p: Parameters) -> Rotorcraft:
+    """The airframe of the SIH_* parameters."""
+    return Rotorcraft(
+        mass=p["SIH_MASS"],
+        inertia=(p["SIH_IXX"], p["SIH_IYY"], p["SIH_IZZ"]),
+        arm_roll=p["SIH_L_ROLL"],
+        arm_pitch=p["SIH_L_PITCH"],
+        thrust_max=p["SIH_T_MAX"],
+        torque_max=p["SIH_Q_MAX"],
+        motor_lag=p["SIH_T_TAU"],
+        drag=p["SIH_KDV"],
+        angular_drag=p["SIH_KDW"],
+    )
+
+
+def gains(p: Parameters) -> Gains:
+    """The control law of the MPC_* and MC_* parameters; with MPC_USE_HTE the hover thrust is the true one."""
+    hover = p["SIH_MASS"] * GRAVITY / (4.0 * p["SIH_T_MAX"])
+    return Gains(
+        position_p=(p["MPC_XY_P"], p["MPC_XY_P"], p["MPC_Z_P"]),
+        velocity_p=(p["MPC_XY_VEL_P_ACC"], p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"]),
+        velocity_i=(p["MPC_XY_VEL_I_ACC"], p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"]),
+        velocity_d=(p["MPC_XY_VEL_D_ACC"], p["MPC_XY_VEL_D_ACC"], p["MPC_Z_VEL_D_ACC"]),
+        velocity_derivative_hz=p["MPC_VELD_LP"],
+        speed_xy_max=p["MPC_XY_VEL_MAX"],
+        speed_up_max=p["MPC_Z_VEL_MAX_UP"],
+        speed_down_max=p["MPC_Z_VEL_MAX_DN"],
+        tilt_max=math.radians(p["MPC_TILTMAX_AIR"]),
+        thrust_min=p["MPC_THR_MIN"],
+        thrust_max=p["MPC_THR_MAX"],
+        thrust_xy_margin=p["MPC_THR_XY_MARG"],
+        hover_thrust=min(max(hover, 0.1), 0.9) if p["MPC_USE_HTE"] else p["MPC_THR_HOVER"],
+        attitude_p=(p["MC_ROLL_P"], p["MC_PITCH_P"], p["MC_YAW_P"]),
+        yaw_weight=p["MC_YAW_WEIGHT"],
+        rate_max=(
+            math.radians(p["MC_ROLLRATE_MAX"]),
+            math.radians(p["MC_PITCHRATE_MAX"]),
+            math.radians(p["MC_YAWRATE_MAX"]),
+        ),
+        rate_p=(p["MC_ROLLRATE_P"], p["MC_PITCHRATE_P"], p["MC_YAWRATE_P"]),
+        rate_i=(p["MC_ROLLRATE_I"], p["MC_PITCHRATE_I"], p["MC_YAWRATE_I"]),
+        rate_d=(p["MC_ROLLRATE_D"], p["MC_PITCHRATE_D"], p["MC_YAWRATE_D"]),
+        rate_integral_max=(p["MC_RR_INT_LIM"], p["MC_PR_INT_LIM"], p["MC_YR_INT_LIM"]),
+        yaw_torque_hz=p["MC_YAW_TQ_CUTOFF"],
+    )
