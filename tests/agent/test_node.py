@@ -1,0 +1,168 @@
+"""The agent node over a real zenoh session between two peers."""
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import torch
+import zenoh
+
+from agent import node
+from agent.daddpg import DualActorDdpg
+from agent.decoding import decode
+from agent.policies import sizes
+from agent.policy import PolicyConfig
+from agent.training import save_policy
+from agent.training_config import TrainingConfig
+from bus import messages as m
+from bus import topics
+from bus.session import free_endpoint, open_session
+from rf_model.channels import draw_channels
+from rf_model.mobility import initial_users
+from rf_model.scenario import Scenario, preset
+
+SMALL = preset("physical_small")
+VEHICLE = "uav1"
+
+
+def channel_state(slot: int, scenario: Scenario = SMALL) -> m.ChannelState:
+    generator = torch.Generator().manual_seed(slot)
+    users = initial_users(scenario, (), generator)
+    position = torch.tensor(scenario.start_enu)
+    channels = draw_channels(scenario, position, torch.tensor(0.0), users.position_enu, generator)
+    return m.ChannelState(
+        slot=slot,
+        time_s=10.0 + slot,
+        position_enu=tuple(position.tolist()),
+        attitude_rad=(0.0, 0.0, 0.0),
+        users_enu=[tuple(user) for user in users.position_enu.tolist()],
+        regions=["transmission" if t else "reflection" for t in channels.transmission.tolist()],
+        direct=torch.view_as_real(channels.direct).tolist(),
+        bs_ris=torch.view_as_real(channels.bs_ris).tolist(),
+        ris_user=torch.view_as_real(channels.ris_user).tolist(),
+    )
+
+
+class World:
+    """The rest of the loop: a session that sends channel states and hears everything the agent says."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self.session = session
+        self.actions: queue.Queue[m.Action] = queue.Queue()
+        self.health: queue.Queue[m.NodeHealth] = queue.Queue()
+        self.alive: queue.Queue[tuple[str, bool]] = queue.Queue()
+        self.csi = topics.Publisher(session, VEHICLE, topics.CSI)
+        self.event = topics.Publisher(session, VEHICLE, topics.EVENT)
+        self.held = [
+            topics.subscribe(session, VEHICLE, topics.ACTION, self.actions.put, topics.Counter()),
+            topics.subscribe(session, VEHICLE, topics.HEALTH, self.health.put, topics.Counter()),
+            topics.watch_alive(session, VEHICLE, lambda name, alive: self.alive.put((name, alive))),
+        ]
+
+    def ask(self, message: m.ChannelState) -> m.Action:
+        self.csi.send(message)
+        return self.actions.get(timeout=20)
+
+    def wait_alive(self, name: str) -> None:
+        while self.alive.get(timeout=20) != (name, True):
+            pass
+
+    def end(self) -> None:
+        self.event.send(m.MissionEvent(time_s=0.0, source="bridge", kind="ended", text="landed", exit_code=0))
+
+
+@contextmanager
+def flying(policy: PolicyConfig, seed: int = 0) -> Iterator[tuple[World, Callable[[], int]]]:
+    """A running node and its world; the function waits for the node's end and gives its exit code."""
+    endpoint = free_endpoint()
+    codes: queue.Queue[int] = queue.Queue()
+    with open_session(listen=endpoint) as ours, open_session(connect=[endpoint]) as its:
+        world = World(ours)
+        thread = threading.Thread(
+            target=lambda: codes.put(node.run(policy, SMALL, seed, VEHICLE, its, until_ended=True)), daemon=True
+        )
+        thread.start()
+        world.wait_alive("agent")
+        yield world, lambda: codes.get(timeout=20)
+        world.end()
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+@pytest.fixture
+def trained(tmp_path: Path) -> PolicyConfig:
+    config = TrainingConfig(hidden=(32, 16))
+    save_policy(tmp_path / "p.safetensors", DualActorDdpg(sizes(SMALL), config), SMALL, config, {})
+    return PolicyConfig(checkpoint=str(tmp_path / "p.safetensors"))
+
+
+def test_every_channel_state_is_answered_with_its_decoded_action(trained):
+    with flying(trained) as (world, _):
+        for slot in range(4):
+            csi = channel_state(slot)
+            action = world.ask(csi)
+            assert (action.slot, action.time_s, action.source) == (slot, csi.time_s, "p")
+            assert len(action.raw) == 83
+            expected = decode(torch.tensor(action.raw, dtype=torch.float64), SMALL)
+            assert list(action.displacement_enu) == expected.displacement_enu.tolist()
+            assert action.theta_reflection == expected.theta_reflection.tolist()
+            assert action.split_angle == expected.split_angle.tolist()
+            assert action.sign == expected.sign.tolist()
+            beams = torch.view_as_complex(torch.tensor(action.beamforming, dtype=torch.float64))
+            assert torch.equal(beams, expected.beamforming)
+
+
+@pytest.mark.parametrize("kind", ["random", "hover"])
+def test_same_channel_states_and_seed_give_the_same_actions_also_after_a_restart(kind):
+    def fly(slots: list[int]) -> list[m.Action]:
+        with flying(PolicyConfig(kind=kind), seed=5) as (world, _):
+            return [world.ask(channel_state(slot)) for slot in slots]
+
+    assert fly([0, 1, 2])[2:] == fly([2])
+
+
+def test_it_ends_with_the_bridges_last_event(trained):
+    with flying(trained) as (world, exit_code):
+        world.ask(channel_state(0))
+        world.end()
+        assert exit_code() == 0
+
+
+def test_it_ends_when_the_bridge_is_gone(trained):
+    with flying(trained) as (world, exit_code):
+        bridge = topics.declare_alive(world.session, VEHICLE, "bridge")
+        world.ask(channel_state(0))
+        bridge.undeclare()
+        assert exit_code() == 0
+
+
+def test_a_channel_state_of_other_sizes_is_counted_and_not_answered(trained):
+    with flying(trained) as (world, exit_code):
+        world.csi.send(channel_state(0, preset("physical_small", users=5)))
+        assert world.ask(channel_state(1)).slot == 1
+        world.session.put(topics.key(VEHICLE, topics.CSI.name), b"{}")
+        assert world.ask(channel_state(2)).slot == 2
+        world.end()
+        assert exit_code() == 0
+        while world.health.qsize() > 1:
+            world.health.get()
+        counters = world.health.get(timeout=20).counters
+        assert counters["received"] == 3
+        assert counters["decided"] == 2
+        assert counters["wrong_size"] == 1
+        assert counters["refused rf/csi"] == 1
+
+
+def test_a_policy_gone_mad_is_counted_and_not_answered(tmp_path):
+    config = TrainingConfig(hidden=(32, 16))
+    mad = DualActorDdpg(sizes(SMALL), config)
+    torch.nn.init.constant_(mad.continuous_actor.out.bias, float("nan"))
+    save_policy(tmp_path / "mad.safetensors", mad, SMALL, config, {})
+    with flying(PolicyConfig(checkpoint=str(tmp_path / "mad.safetensors"))) as (world, _):
+        world.csi.send(channel_state(0))
+        while world.health.get(timeout=20).counters["not_finite"] == 0:
+            pass
+        assert world.actions.empty()
