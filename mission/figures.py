@@ -2,13 +2,14 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]  # matplotlib types all but this
+from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from bus import topics
@@ -21,7 +22,7 @@ Floats = NDArray[np.float64]
 
 INK, MUTED, PLANNED = "#1f2933", "#7b8794", "#d9822b"
 SIDES = {"reflection": "#0072b2", "transmission": "#cc4c8f"}
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,
@@ -90,8 +91,8 @@ def _trajectory(axes: Axes3D, flown: list[TrackSample], links: list[LinkReport],
         axes.plot(*walk.T, color=SIDES[region], linewidth=1.2)
         axes.scatter(*walk[-1], color=SIDES[region], s=26, depthshade=False)
         axes.text(*(walk[-1] + (0.0, 0.0, 5.0)), f"user {user + 1}", color=SIDES[region], fontsize=8, ha="center")
-    for region, colour in SIDES.items():
-        axes.plot([], [], "o", color=colour, markersize=5, label=f"user, {region} side at the start")
+    for side, colour in SIDES.items():
+        axes.plot([], [], "o", color=colour, markersize=5, label=f"user, {side} side at the start")
 
     track = _positions(flown)
     if len(track):

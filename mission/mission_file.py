@@ -11,11 +11,13 @@ from pydantic_core import ErrorDetails
 
 from agent.checkpoint import CheckpointError, read_metadata, require_fit
 from agent.policy import PolicyConfig
-from autopilot_bridge.config import BridgeConfig, Limits, LockstepClock, PacedClock, udpin_address
+from autopilot_bridge.config import Box, BridgeConfig, Limits, LockstepClock, PacedClock, udpin_address
 from rf_model.scenario import Scenario, ScenarioError, make_scenario, preset
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 EMBEDDED = "sitl"
+ANY_CONTROL = "127.0.0.1:1"
+"""Stands for the control socket while none is open yet."""
 
 Margin = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 Parameters = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
@@ -154,7 +156,7 @@ class Mission(_Strict):
         return self.vehicle.autopilot == EMBEDDED
 
 
-def load(path: Path, **overrides: object) -> Mission:
+def load(path: Path, vehicle_name: str | None = None, **overrides: object) -> Mission:
     """Read a mission file; `overrides` replace top-level fields (None leaves a field alone). Raises MissionError."""
     try:
         fields = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -167,6 +169,8 @@ def load(path: Path, **overrides: object) -> Mission:
         raise MissionError(f"{path}: must hold a mapping of fields ({', '.join(Mission.model_fields)})")
     fields |= {name: value for name, value in overrides.items() if value is not None}
     fields.setdefault("name", path.stem)
+    if vehicle_name is not None and isinstance(fields.setdefault("vehicle", {}), dict):
+        fields["vehicle"]["name"] = vehicle_name
     try:
         return Mission.model_validate(fields)
     except ValidationError as error:
@@ -184,7 +188,7 @@ def check(mission: Mission) -> None:
             require_fit(checkpoint, read_metadata(checkpoint), mission.scenario)
         except CheckpointError as error:
             raise MissionError(f"policy.checkpoint: {error}") from error
-    bridge_config(mission, control="127.0.0.1:1" if mission.clock == "lockstep" else None)
+    bridge_config(mission, control=ANY_CONTROL)
 
 
 def dump(mission: Mission) -> str:
@@ -203,8 +207,6 @@ def bridge_config(
     scenario = mission.scenario
     x, y, z = scenario.box_enu
     limits = mission.limits
-    box = {"x": x, "y": y, "z": z}
-    sideways, vertically = limits.fence_sideways_m, limits.fence_vertically_m
     url = autopilot or ("udpin://127.0.0.1:14540" if mission.embedded else mission.vehicle.autopilot)
     if mission.clock == "lockstep" and control is None:
         raise MissionError("clock: 'lockstep' needs the autopilot's control socket (HOST:PORT)")
@@ -221,12 +223,8 @@ def bridge_config(
             v_max_mps=scenario.v_max_mps,
             start_position_enu=scenario.start_enu,
             panel_heading_rad=scenario.panel_heading_rad,
-            box=box,
-            fence={
-                "x": (x[0] - sideways, x[1] + sideways),
-                "y": (y[0] - sideways, y[1] + sideways),
-                "z": (z[0] - vertically, z[1] + vertically),
-            },
+            box=Box(x=x, y=y, z=z),
+            fence=Box(x=x, y=y, z=z).grown(limits.fence_sideways_m, limits.fence_vertically_m),
             limits=Limits(**{name: getattr(limits, name) for name in Limits.model_fields}),
             await_restart=mission.restart == "once",
             at_end=mission.at_end,
@@ -235,6 +233,11 @@ def bridge_config(
         )
     except ValidationError as error:
         raise MissionError(one_line(error, BridgeConfig)) from error
+
+
+def action_deadline_s(mission: Mission) -> float:
+    """Vehicle time after a slot's opening when its action is late. Raises MissionError."""
+    return bridge_config(mission, control=ANY_CONTROL).deadline_s
 
 
 def one_line(error: ValidationError, model: type[BaseModel]) -> str:

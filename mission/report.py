@@ -151,7 +151,8 @@ def table(report: Report) -> RenderableType:
 def write(run: Path) -> Report:
     """Read a run folder and write `report.json` and, when a slot was flown, `report.png` into it.
 
-    Raises FlightLogError when there is no log, MissionError when its mission.yaml is broken, OSError when the folder cannot be written.
+    Raises FlightLogError when there is no log, MissionError when its mission.yaml is broken, OSError when the folder
+    cannot be written.
     """
     log = read(run)
     mission = _mission(run)

@@ -1,0 +1,6 @@
+"""`python -m mission`: the command line."""
+
+from mission.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,232 @@
+"""The command line, `aerialstar`. Commands import what they need when they run, so that `--help` is instant."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sitl.cli import sitl
+
+if TYPE_CHECKING:
+    import zenoh
+
+ERROR, BAD_INPUT = 1, 2
+
+app = typer.Typer(
+    name="aerialstar",
+    help="Fly a UAV-mounted STAR-RIS over MAVLink, with the radio model and a DA-DDPG agent in the loop.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command(name="sitl")(sitl)
+
+MissionOption = Annotated[Path, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")]
+VehicleOption = Annotated[str | None, typer.Option(metavar="NAME", help="Vehicle on the bus; else the mission's.")]
+ConnectOption = Annotated[
+    list[str] | None, typer.Option(metavar="ENDPOINT", help="Zenoh endpoint, e.g. tcp/127.0.0.1:7447; repeatable.")
+]
+ListenOption = Annotated[str, typer.Option(metavar="ENDPOINT", help="Where this node listens.")]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--zenoh-config", metavar="FILE", help="Zenoh config file (hosts, TLS, access control).")
+]
+UntilEndedOption = Annotated[
+    bool, typer.Option("--until-ended", help="End when the flight has ended or the bridge is gone.")
+]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")]
+LOOPBACK = "tcp/127.0.0.1:0"
+
+
+@app.command()
+def fly(
+    mission: Annotated[Path, typer.Argument(metavar="MISSION", help="Mission file (YAML).")],
+    seed: Annotated[int | None, typer.Option(help="Replaces the mission's seed.")] = None,
+    speed: Annotated[float | None, typer.Option(help="Paced, at so many vehicle seconds per second.")] = None,
+    slots: Annotated[int | None, typer.Option(help="Replaces the mission's number of slots.")] = None,
+    output: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where the run folder is made.")] = None,
+) -> None:
+    """Fly a mission: starts the nodes, supervises them, records and reports.
+
+    Exit codes: 0 flown as planned, 3 ended safely by failsafe, 1 error, 2 bad input.
+    """
+    with _one_line_errors():
+        from rich.console import Console
+
+        from mission.fly import fly as fly_mission
+        from mission.mission_file import MissionError, check, load
+
+        clock = None if speed is None else "paced"
+        loaded = load(mission, seed=seed, clock=clock, speed=speed, slots=slots, output=output)
+        try:
+            check(loaded)
+        except MissionError as error:
+            raise MissionError(f"{mission}: {error}") from error
+        raise typer.Exit(fly_mission(loaded, Console()))
+
+
+@app.command()
+def rf(
+    mission: MissionOption,
+    vehicle: VehicleOption = None,
+    connect: ConnectOption = None,
+    listen: ListenOption = LOOPBACK,
+    zenoh_config: ConfigOption = None,
+    until_ended: UntilEndedOption = False,
+) -> None:
+    """Run the radio node alone: users, channels, rates."""
+    with _one_line_errors():
+        from mission.mission_file import action_deadline_s, load
+
+        loaded = load(mission, vehicle_name=vehicle)
+        with _session(zenoh_config, connect, listen) as session:
+            from rf_model.node import run
+
+            code = run(
+                loaded.scenario,
+                loaded.seed,
+                loaded.vehicle.name,
+                session,
+                action_deadline_s=action_deadline_s(loaded),
+                until_ended=until_ended,
+            )
+        raise typer.Exit(code)
+
+
+@app.command()
+def agent(
+    mission: MissionOption,
+    vehicle: VehicleOption = None,
+    connect: ConnectOption = None,
+    listen: ListenOption = LOOPBACK,
+    zenoh_config: ConfigOption = None,
+    until_ended: UntilEndedOption = False,
+) -> None:
+    """Run the agent node alone: one action for every channel state."""
+    with _one_line_errors():
+        from mission.mission_file import load
+
+        loaded = load(mission, vehicle_name=vehicle)
+        with _session(zenoh_config, connect, listen) as session:
+            from agent.node import run
+
+            code = run(
+                loaded.policy,
+                loaded.scenario,
+                loaded.seed,
+                loaded.vehicle.name,
+                session,
+                until_ended=until_ended,
+            )
+        raise typer.Exit(code)
+
+
+@app.command()
+def bridge(
+    mission: MissionOption,
+    vehicle: VehicleOption = None,
+    connect: ConnectOption = None,
+    listen: ListenOption = LOOPBACK,
+    zenoh_config: ConfigOption = None,
+    until_ended: UntilEndedOption = False,
+    autopilot: Annotated[
+        str | None, typer.Option(metavar="URL", help="Where MAVLink comes in, udpin://HOST:PORT; else the mission's.")
+    ] = None,
+    control: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="The SITL's control socket; lockstep needs it.")
+    ] = None,
+    tlog: Annotated[Path | None, typer.Option(metavar="FILE", help="MAVLink log to write.")] = None,
+    autostart: Annotated[bool, typer.Option("--autostart", help="Fly without waiting for the start command.")] = False,
+) -> None:
+    """Run the autopilot bridge alone: flies the vehicle through its slots and ends with the flight.
+
+    It always ends with the flight; --until-ended is accepted because the other nodes take it.
+    """
+    del until_ended
+    with _one_line_errors():
+        from mission.mission_file import bridge_config, load
+
+        loaded = load(mission, vehicle_name=vehicle)
+        config = bridge_config(loaded, autopilot=autopilot, control=control, autostart=autostart)
+        with _session(zenoh_config, connect, listen) as session:
+            from autopilot_bridge.node import run
+
+            code = run(config, loaded.vehicle.name, session, tlog)
+        raise typer.Exit(code)
+
+
+@app.command()
+def report(run: RunArgument) -> None:
+    """Write report.json and report.png of a run folder again, and print the table."""
+    with _one_line_errors():
+        from rich.console import Console
+
+        from mission.report import table, write
+
+        Console().print(table(write(run)))
+
+
+@app.command()
+def replay(run: RunArgument) -> None:
+    """Feed a recorded flight to a fresh radio node and compare what it says, bit for bit.
+
+    Exit codes: 0 the same, 1 different.
+    """
+    with _one_line_errors():
+        from mission.replay import replay as replay_run
+
+        result = replay_run(run)
+        typer.echo(str(result))
+        raise typer.Exit(0 if result.same else ERROR)
+
+
+@contextmanager
+def _session(config: Path | None, connect: list[str] | None, listen: str) -> "Iterator[zenoh.Session]":
+    from bus.session import open_session
+
+    with open_session(config, connect or (), listen) as session:
+        yield session
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    """Expected errors become one line on stderr and the exit code of the architecture: 2 bad input, 1 all else."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        _fail("interrupted", ERROR)
+    except typer.Exit:
+        raise
+    except (OSError, ValueError, RuntimeError) as error:
+        code = _exit_code(error)
+        if code is None:
+            raise
+        _fail(str(error), code)
+
+
+def _exit_code(error: Exception) -> int | None:
+    """Exit code of an error of input or circumstance; None for one of ours, which deserves its traceback."""
+    from agent.checkpoint import CheckpointError
+    from bus.session import BusError
+    from mission.flight_log import FlightLogError
+    from mission.fly import FlightError
+    from mission.mission_file import MissionError
+    from rf_model.scenario import ScenarioError
+
+    if isinstance(error, MissionError | ScenarioError | CheckpointError | FlightLogError):
+        return BAD_INPUT
+    if isinstance(error, BusError | FlightError | OSError):
+        return ERROR
+    return None
+
+
+def _fail(text: str, code: int) -> None:
+    print(f"error: {text}", file=sys.stderr, flush=True)
+    raise typer.Exit(code)
+
+
+def main() -> None:
+    """Entry point."""
+    app()

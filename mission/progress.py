@@ -1,0 +1,87 @@
+"""What a flight looks like while it flies: one live panel in a terminal, a few plain lines elsewhere."""
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from bus.messages import LinkReport, MissionEvent, SlotOpened, VehicleState
+
+QUIET_SLOTS = 5
+"""Outside a terminal every so many slots make a line."""
+
+
+class FlightView:
+    """Collects what the bus says and shows it; all calls from one thread."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._phase = "starting"
+        self._state: VehicleState | None = None
+        self._slot: SlotOpened | None = None
+        self._link: LinkReport | None = None
+
+    def __enter__(self) -> "FlightView":
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self) -> None:
+        """Draw what has come since."""
+        if self._live is not None:
+            self._live.update(self._panel(), refresh=True)
+
+    def note(self, text: str) -> None:
+        """A line worth reading; in a terminal it stays above the panel."""
+        self._console.print(text, highlight=False, markup=False)
+
+    def event(self, event: MissionEvent) -> None:
+        if event.kind == "phase":
+            self._phase = event.text
+            if self._live is None:
+                self.note(f"{event.time_s:8.1f} s  {event.text}")
+        elif event.kind != "ended":
+            self.note(f"{event.time_s:8.1f} s  {event.kind}: {event.text}")
+
+    def state(self, state: VehicleState) -> None:
+        self._state = state
+
+    def slot(self, slot: SlotOpened) -> None:
+        self._slot = slot
+
+    def link(self, link: LinkReport) -> None:
+        self._link = link
+        if self._live is None and (link.slot + 1) % QUIET_SLOTS == 0:
+            rates = " ".join(f"{rate / 1e3:.0f}" for rate in link.rate_bps)
+            total = self._slot.slots if self._slot else 0
+            self.note(f"{link.time_s:8.1f} s  slot {link.slot + 1} of {total}: {rates} kbit/s, {self._battery()}")
+
+    def _battery(self) -> str:
+        remaining = self._state.battery_remaining if self._state else None
+        return "battery unknown" if remaining is None else f"battery {remaining:.0%}"
+
+    def _panel(self) -> RenderableType:
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(style="dim", justify="right")
+        grid.add_column()
+        grid.add_row("phase", Text(self._phase, style="bold"))
+        if self._slot is not None:
+            bar = ProgressBar(total=self._slot.slots, completed=self._slot.slot, width=40)
+            grid.add_row("slot", Group(Text(f"{self._slot.slot} of {self._slot.slots}"), bar))
+        if self._state is not None:
+            east, north, up = self._state.position_enu
+            where = f"{east:7.1f} m east  {north:7.1f} m north  {up:6.1f} m up   {self._state.mode}"
+            grid.add_row("vehicle", f"{where}   {self._battery()}")
+        if self._link is not None:
+            rates = Text()
+            for rate, below in zip(self._link.rate_bps, self._link.below_qos, strict=True):
+                rates.append(f"{rate / 1e3:7.0f} ", style="red" if below else "green")
+            rates.append(" kbit/s", style="dim")
+            grid.add_row("rates", rates)
+        return grid
