@@ -20,8 +20,6 @@ def random_raw(scenario: Scenario, batch: int, seed: int) -> torch.Tensor:
 
 
 def reward_by_hand(scenario: Scenario, raw: np.ndarray, world, row: int):
-    scenario: Scenario, raw: np.ndarray, world, row: int
-) -> tuple[float, np.ndarray, list[float], float]:
     """Decode and rate one world with plain arithmetic: (reward, displacement, rates, power)."""
     N, M, J = scenario.elements, scenario.antennas, scenario.users
     reach = scenario.v_max_mps * scenario.slot_s

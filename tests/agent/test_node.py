@@ -147,10 +147,8 @@ def test_a_channel_state_of_other_sizes_is_counted_and_not_answered(trained):
         assert world.ask(channel_state(2)).slot == 2
         world.end()
         assert exit_code() == 0
-        while world.health.qsize() > 1:
-            world.health.get()
-        counters = world.health.get(timeout=20).counters
-        assert counters["received"] == 3
+        while (counters := world.health.get(timeout=20).counters)["received"] < 3:
+            pass  # the last report comes as the node ends
         assert counters["decided"] == 2
         assert counters["wrong_size"] == 1
         assert counters["refused rf/csi"] == 1
