@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from airframe.frames import enu_to_ned, ned_to_enu, yaw_enu_to_ned, yaw_ned_to_enu
 from airframe.slot_profile import Vector
+from autopilot_bridge.clock import Clock
 from autopilot_bridge.dialects import Dialect
 from autopilot_bridge.link import Link
 from autopilot_bridge.vehicle import Mode, RefusedError, SilentError, Telemetry, Vehicle, VehicleError
@@ -32,14 +33,12 @@ INTEGERS = range(mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT64 + 1)
 
 
 class PymavlinkVehicle(Vehicle):
-    """See `Vehicle`. `now` tells vehicle time [s]; `wait` lets a step of it pass."""
+    """See `Vehicle`. `wait` lets a step of vehicle time pass."""
 
-    def __init__(
-        self, link: Link, dialect: Dialect, system_id: int, now: Callable[[], float], wait: Callable[[], None]
-    ) -> None:
+    def __init__(self, link: Link, dialect: Dialect, system_id: int, clock: Clock, wait: Callable[[], None]) -> None:
         self.counters = link.counters
         self._link, self._dialect, self._system_id = link, dialect, system_id
-        self._now, self._wait = now, wait
+        self._clock, self._wait = clock, wait
         self._telemetry = Telemetry()
         self._home_ned: Vector = np.zeros(3)
         self._home_held = False
@@ -90,7 +89,7 @@ class PymavlinkVehicle(Vehicle):
         north, east, down = enu_to_ned(*velocity_enu.tolist())
         self._link.send(
             mavlink.MAVLink_set_position_target_local_ned_message(
-                round(self._now() * 1000) & 0xFFFFFFFF,
+                round(self._clock.now * 1000) & 0xFFFFFFFF,
                 self._system_id,
                 mavlink.MAV_COMP_ID_AUTOPILOT1,
                 mavlink.MAV_FRAME_LOCAL_NED,
@@ -120,6 +119,7 @@ class PymavlinkVehicle(Vehicle):
             if time.monotonic() - started > CONNECT_WALL_S:
                 raise SilentError(f"autopilot at {self._link.url} gives no LOCAL_POSITION_NED")
             self._wait()
+        self._link.stamp_by(lambda: self._clock.now)
 
     def await_armable(self) -> None:
         heard = len(self._texts)
@@ -246,7 +246,7 @@ class PymavlinkVehicle(Vehicle):
             if len(message.text) == 50:
                 self._chunks[message.id] = text
                 return
-        self._texts.append(text)
+        self._texts.append(text.strip())
 
     def _read(self, name: str) -> tuple[float, int]:
         for _ in range(TRIES):
@@ -316,9 +316,9 @@ class PymavlinkVehicle(Vehicle):
 
     def _until(self, done: Callable[[], bool], within_s: float) -> bool:
         """Wait for `done` for up to `within_s` of vehicle time; whether it came."""
-        started = self._now()
+        started = self._clock.now
         while not done():
-            if self._now() - started > within_s:
+            if self._clock.now - started > within_s:
                 return False
             self._wait()
         return True

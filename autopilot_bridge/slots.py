@@ -8,6 +8,7 @@ import numpy as np
 
 from airframe.slot_profile import Reference, Vector, brake
 from autopilot_bridge.config import BridgeConfig, Limits, Vec3
+from autopilot_bridge.deadman import Deadman
 from autopilot_bridge.plan import plan_slot
 from bus.messages import Action, FlownSlot, SlotOpened, SlotOutcome, TrackSample
 
@@ -25,6 +26,7 @@ class Slots:
         """The open slot; -1 before the first, `config.slots` after the last."""
         self.outcome: SlotOutcome | None = None
         """What became of the open slot's action; None while it is awaited."""
+        self.deadman = Deadman(config.deadline_s, config.grace_s, start_s)
         self._config, self._limits, self._start_s = config, limits, start_s
         self._profile, self._since_s = brake(position, np.zeros(3), limits.acceleration_mps2), start_s
         self._opening: Reference = self._profile.at(0.0)
@@ -38,6 +40,21 @@ class Slots:
     def closed(self) -> bool:
         """Whether all slots are over."""
         return self.number >= self._config.slots
+
+    @property
+    def awaiting(self) -> bool:
+        """Whether the open slot's action has yet to come."""
+        return self.number >= 0 and not self.closed and self.outcome is None
+
+    @property
+    def decided(self) -> bool:
+        """Whether it is known what the open slot flies."""
+        return not self.closed and self.outcome is not None
+
+    @property
+    def acting(self) -> bool:
+        """Whether the open slot's action is being flown."""
+        return self.outcome in ("flown", "clipped")
 
     @property
     def opening_s(self) -> float:
@@ -56,6 +73,7 @@ class Slots:
         self._opening, self._opened_at = self.reference(closing_s), position
         self.outcome, self._reasons, self._commanded = None, [], np.zeros(3)
         self._track, self._plan = [], []
+        self.deadman.opened(closing_s)
         return SlotOpened(
             slot=self.number,
             slots=self._config.slots,
@@ -67,27 +85,27 @@ class Slots:
             flown=flown,
         )
 
-    def act(self, action: Action, held_because: str | None = None) -> bool:
-        """Take the agent's decision, and whether it was a good one for the open slot.
+    def act(self, action: Action, time_s: float, held_because: str | None = None) -> None:
+        """Take the agent's decision at vehicle time `time_s`.
 
-        One that is not for the open slot changes nothing; one that comes after the hold began is `late`.
-        `held_because`: do not execute it, for this reason.
+        One that is not for the open slot, or a second one, changes nothing; one that comes after the hold began is
+        `late`. `held_because`: it is good, but is not to be flown, for this reason.
         """
         if action.slot != self.number or self.closed:
-            return False
+            return
         if self.outcome == "missing":
             self.outcome = "late"
-        if self.outcome is not None:
-            return False
+        if not self.awaiting:
+            return
         wanted = np.array(action.displacement_enu)
-        longest = self._config.v_max_mps * self._config.slot_s
-        length = float(np.linalg.norm(wanted))
+        length, longest = float(np.linalg.norm(wanted)), self._config.v_max_mps * self._config.slot_s
         if length > longest * (1 + LENGTH_TOLERANCE):
-            self.hold(self.opening_s, "rejected", f"displacement: {length:.3f} m, at most {longest:g} m is allowed")
-            return False
+            self.hold(time_s, "rejected", f"displacement: {length:.3f} m, at most {longest:g} m is allowed")
+            return
+        self.deadman.acted(time_s)
         if held_because is not None:
-            self.hold(self.opening_s, "rejected", held_because)
-            return True
+            self.hold(time_s, "rejected", held_because)
+            return
         planned = plan_slot(
             self._opening.position,
             self._opening.velocity,
@@ -100,7 +118,6 @@ class Slots:
         self._profile, self._since_s = planned.profile, self.opening_s
         self._commanded, self._reasons = wanted, list(planned.reasons)
         self.outcome = "clipped" if planned.reasons else "flown"
-        return True
 
     def hold(self, time_s: float, outcome: SlotOutcome, reason: str) -> None:
         """Begin the planned hold at `time_s`: the open slot has no action to fly."""

@@ -2,9 +2,11 @@
 
     v = v_ref + lead * a_ref + K (p_ref - p),    K = 0.95 /s (PX4 MPC_XY_P)
 
-`lead` makes up for the time in which the autopilot's velocity loop answers (see the dialect). One 3-vector to check,
-one type mask on every autopilot, and a stream that stops really is a vehicle that stops.
+`lead` makes up, per axis, for the time in which the autopilot's velocity loop answers (see the dialect). One 3-vector
+to check, one type mask on every autopilot, and a stream that stops really is a vehicle that stops.
 """
+
+import numpy as np
 
 from airframe.slot_profile import Reference, Vector
 
@@ -12,7 +14,7 @@ POSITION_GAIN = 0.95
 """[1/s]"""
 
 
-def track(reference: Reference, position: Vector, lead_s: float) -> Vector:
+def track(reference: Reference, position: Vector, lead_s: tuple[float, float, float]) -> Vector:
     """Velocity setpoint [m/s] for a vehicle at `position` [m]; all in ENU, shape (3,)."""
     error = reference.position - position
-    return reference.velocity + lead_s * reference.acceleration + POSITION_GAIN * error
+    return reference.velocity + np.array(lead_s) * reference.acceleration + POSITION_GAIN * error

@@ -21,8 +21,8 @@ class Dialect:
     """MAVLink message id -> rate wanted on our link."""
     stream_before_offboard_s: float
     """Setpoints must have streamed for this long before OFFBOARD is asked for."""
-    lead_s: float
-    """Feed-forward of the reference's acceleration (see `tracker`)."""
+    lead_s: tuple[float, float, float]
+    """Feed-forward of the reference's acceleration, east, north, up (see `tracker`)."""
     reaction_s: float
     """How long a commanded stop takes to bite: the envelope's `reaction_s`."""
     takeoff_altitude: str

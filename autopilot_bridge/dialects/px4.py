@@ -46,7 +46,7 @@ PX4 = Dialect(
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
     },
     stream_before_offboard_s=0.2,
-    lead_s=0.7,
+    lead_s=(0.8, 0.8, 0.4),
     reaction_s=0.5,
     takeoff_altitude="MIS_TAKEOFF_ALT",
     horizontal_limit="MPC_XY_VEL_MAX",

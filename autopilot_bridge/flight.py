@@ -1,0 +1,516 @@
+"""One flight, from the first heartbeat to the ground.
+
+Phases:
+
+    connecting -> preflight -> ready -> arming -> takeoff -> transit -> slots -> returning | landing -> ended
+
+    transit | slots <-> holding      `hold` and `resume`; in the slots also whenever there is no action to fly
+    takeoff .. slots -> yielded      a mode change by autopilot or pilot: no setpoints until `resume`, which takes
+                                     control again, or `return`, `land`, or the ground
+
+The phases are plain sequential code on one thread. Every wait in them is `_step`: hear the bus, judge, steer, tell, let
+one step of vehicle time pass. What ends a phase early is raised from there.
+"""
+
+import contextlib
+import queue
+import time
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+
+from airframe.slot_profile import Reference, SlotProfile, Vector, brake
+from autopilot_bridge.clock import Clock
+from autopilot_bridge.config import Box, BridgeConfig, Limits
+from autopilot_bridge.deadman import Rung, Silence
+from autopilot_bridge.dialects import Dialect
+from autopilot_bridge.envelope import Envelope
+from autopilot_bridge.ground import Ground
+from autopilot_bridge.link import LinkError
+from autopilot_bridge.slots import SAMPLE_S, Slots, vec3
+from autopilot_bridge.tracker import track
+from autopilot_bridge.transit import Transit
+from autopilot_bridge.vehicle import Mode, SilentError, Vehicle, VehicleError
+from bus import messages as m
+
+AS_PLANNED, ERROR, FAILSAFE = 0, 1, 3
+"""Exit codes."""
+ARRIVED_M, ARRIVED_MPS = 0.3, 0.2
+SETTLE_S = 20.0
+"""Vehicle time that the vehicle may need to arrive once its reference has."""
+BREACH_M = 1.0
+"""This far outside the fence the vehicle is sent home."""
+COME_DOWN_S = 900.0
+DISARM_S = 10.0
+"""Vehicle time on the ground after which we disarm if the autopilot has not."""
+LINK_BACK_WALL_S = 60.0
+TRACKING_HEADROOM = 1.25
+"""A vehicle that is behind its plan may be this much faster than plans are, if the autopilot lets it."""
+PEERS = ("agent", "rf")
+"""Nodes without which no action comes."""
+TELLING = ("fence", "altitude", "not finite")
+"""Clips of setpoints that change what becomes of an action; the others only slow the tracking."""
+
+
+class _End(Exception):  # noqa: N818  not an error: the flight's last decision
+    """Come down by `mode` (None: as the vehicle does by itself) and exit with `code`."""
+
+    def __init__(self, mode: Mode | None, code: int, why: str) -> None:
+        super().__init__(why)
+        self.mode, self.code = mode, code
+
+
+class _Yielded(Exception):  # noqa: N818  not an error: the pilot's right
+    """Somebody else flies the vehicle now."""
+
+
+class Flight:
+    """Flies `config` once. `make_vehicle(wait)` builds the vehicle; it calls `wait` to let vehicle time pass."""
+
+    def __init__(
+        self,
+        config: BridgeConfig,
+        dialect: Dialect,
+        ground: Ground,
+        clock: Clock,
+        make_vehicle: Callable[[Callable[[], None]], Vehicle],
+    ) -> None:
+        self._config, self._dialect, self._ground, self._clock = config, dialect, ground, clock
+        self._vehicle = make_vehicle(self._step)
+        self._phase = "connecting"
+        self._limits: Limits = config.limits
+        """The mission's, tightened to the autopilot's at preflight: plans keep them."""
+        self._tracking_limits: Limits = config.limits
+        """The envelope's: plans' with headroom, within the autopilot's."""
+        self._started = config.autostart
+        self._held = False
+        """No actions are flown: by command, or because somebody else flies."""
+        self._guide: Callable[[float], Reference] | None = None
+        """Vehicle time -> what to track; None: no setpoints at all."""
+        self._slots: Slots | None = None
+        self._expected: set[Mode] = set()
+        """Modes that are our doing; empty: any."""
+        self._flying = False
+        """Armed by us and not yet told to come down."""
+        self._alive: dict[str, bool] = {}
+        self._silence = Silence(time.monotonic())
+        self._malformed = 0
+        self._counters: Counter[str] = Counter()
+        self._steps = 0
+        ground.objection = self._objection
+
+    @property
+    def down(self) -> bool:
+        """Whether the vehicle is on the ground and disarmed, as far as we know."""
+        return not self._vehicle.telemetry.armed
+
+    def run(self) -> int:
+        """The exit code. Never raises on account of vehicle, link or commands."""
+        try:
+            code = self._fly()
+        except (LinkError, VehicleError) as error:
+            code = ERROR
+            self._tell("error", str(error))
+        except _End as end:
+            code = end.code
+            self._tell("error" if code == ERROR else "failsafe", str(end))
+        self._phase = "ended"
+        self._publish_health(final=True)
+        return code
+
+    # The phases.
+
+    def _fly(self) -> int:
+        self._tell("phase", self._phase)
+        self._vehicle.connect()
+        self._preflight()
+        self._await_start()
+        try:
+            self._fly_slots()
+            ending = _End(Mode.RETURN if self._config.at_end == "return" else Mode.LAND, AS_PLANNED, "all slots flown")
+            self._tell("slots", str(ending))
+        except _End as end:
+            ending = end
+            self._tell("failsafe", str(end))
+        except SilentError as error:
+            ending = self._await_link(error)
+        except VehicleError as error:
+            if self.down:
+                raise
+            ending = _End(Mode.RETURN, FAILSAFE, str(error))
+            self._tell("failsafe", str(error))
+        return self._come_down(ending)
+
+    def _preflight(self) -> None:
+        self._enter("preflight")
+        vehicle, dialect = self._vehicle, self._dialect
+        for name, value in self._config.parameters.items():
+            vehicle.set_parameter(name, value)
+            self._tell("parameter", f"{name} set to {value:g}")
+        horizontal_mps = vehicle.parameter(dialect.horizontal_limit)
+        self._limits = self._config.limits.within(
+            horizontal_mps, vehicle.parameter(dialect.up_limit), vehicle.parameter(dialect.down_limit)
+        )
+        headroom_mps = min(self._limits.horizontal_mps * TRACKING_HEADROOM, horizontal_mps)
+        self._tracking_limits = self._limits.model_copy(update={"horizontal_mps": headroom_mps})
+        if self._limits != self._config.limits:
+            self._tell("limits", f"planning inside the autopilot's limits: {self._limits}")
+        action = vehicle.parameter(dialect.offboard_loss_action)
+        if action not in dialect.offboard_loss_safe:
+            safe = dialect.offboard_loss_safe[0]
+            vehicle.set_parameter(dialect.offboard_loss_action, safe)
+            self._tell(
+                "parameter",
+                f"{dialect.offboard_loss_action} was {action:g}, which neither lands nor returns: set to {safe}",
+            )
+        vehicle.await_armable()
+
+    def _await_start(self) -> None:
+        self._enter("ready")
+        while not self._started:
+            if self._clock.frozen_between_steps:  # vehicle time must not depend on how long this takes
+                self._hear()
+                self._publish_health()
+                self._silence.excuse(time.monotonic())
+                time.sleep(0.01)
+            else:
+                self._step()
+
+    def _fly_slots(self) -> None:
+        self._enter("arming")
+        self._vehicle.arm()
+        self._flying = True
+        try:
+            self._enter("takeoff")
+            self._expected = {self._vehicle.telemetry.mode, Mode.TAKEOFF, Mode.HOLD}
+            self._vehicle.takeoff(self._config.takeoff_altitude_m)
+        except _Yielded:
+            self._await_resume()
+        while True:
+            try:
+                self._take_control()
+                if self._slots is None:
+                    self._transit()
+                    self._slots = Slots(
+                        self._config, self._limits, self._clock.now, np.array(self._config.start_position_enu)
+                    )
+                self._guide = self._slots.reference
+                self._enter("slots")
+                while not self._slots.closed:
+                    self._step()
+                return
+            except _Yielded:
+                self._await_resume()
+
+    def _take_control(self) -> None:
+        """Stream a hold at this place, and have OFFBOARD."""
+        position, velocity = self._here()
+        if self._slots is not None:
+            self._slots.restart(self._clock.now, position, velocity)
+        self._follow(brake(position, velocity, self._limits.acceleration_mps2))
+        self._expected = {self._vehicle.telemetry.mode, Mode.OFFBOARD}
+        until = self._clock.now + self._dialect.stream_before_offboard_s
+        while self._clock.now < until:
+            self._step()
+        self._vehicle.set_mode(Mode.OFFBOARD)
+        self._expected = {Mode.OFFBOARD}
+
+    def _transit(self) -> None:
+        """To the start position, over any holds."""
+        goal = np.array(self._config.start_position_enu)
+        while True:
+            self._enter("transit")
+            way, left_s = Transit(self._here()[0], goal, self._limits), self._clock.now
+            self._follow(way)
+            while not self._held:
+                position, velocity = self._here()
+                late_s = self._clock.now - left_s - way.duration_s
+                if (
+                    late_s >= 0
+                    and np.linalg.norm(position - goal) < ARRIVED_M
+                    and np.linalg.norm(velocity) < ARRIVED_MPS
+                ):
+                    return
+                if late_s > SETTLE_S:
+                    raise VehicleError(f"start position {vec3(goal)} not reached: still at {_rounded(position)}")
+                self._step()
+            self._enter("holding")
+            self._follow(brake(*self._here(), self._limits.acceleration_mps2))
+            while self._held:
+                self._step()
+
+    def _await_resume(self) -> None:
+        """Obey: no setpoints until an explicit `resume`. The slot clock runs on."""
+        self._enter("yielded")
+        self._guide, self._held = None, True
+        while self._held:
+            self._step()
+
+    def _await_link(self, error: SilentError) -> _End:
+        """The link is dead, the vehicle is its failsafe's. Raises SilentError when the link stays dead."""
+        self._release()
+        self._enter("yielded")
+        self._tell("failsafe", f"{error}: no setpoints, the autopilot's own failsafe acts")
+        heard, patience = self._vehicle.heard, time.monotonic() + LINK_BACK_WALL_S
+        while self._vehicle.heard == heard:
+            if time.monotonic() > patience:
+                raise error
+            self._clock.step(self._vehicle)
+        self._silence.excuse(time.monotonic())
+        return _End(None, FAILSAFE, "the link was lost")
+
+    def _come_down(self, ending: _End) -> int:
+        """Return or land, and wait for the ground. Pilots are obeyed here too: nothing is asked for twice."""
+        self._release()
+        vehicle, code, mode = self._vehicle, ending.code, ending.mode
+        until, landed_s = self._clock.now + COME_DOWN_S, self._clock.now
+        while not self.down:
+            try:
+                if mode is not None:
+                    wanted, mode = mode, None
+                    self._bring_down(wanted)
+                self._step()
+            except _End as end:
+                mode, code = end.mode, max(code, end.code)
+            except _Yielded:
+                code = max(code, FAILSAFE)
+                self._enter("yielded")
+            except SilentError as error:
+                mode, code = None, max(code, self._await_link(error).code)
+            if not vehicle.telemetry.landed:
+                landed_s = self._clock.now
+            if self._clock.now - landed_s > DISARM_S:
+                vehicle.disarm()
+            if self._clock.now > until:
+                raise VehicleError(f"not on the ground {COME_DOWN_S:g} s after it was told to come down")
+        return code
+
+    def _bring_down(self, mode: Mode) -> None:
+        self._expected = set()
+        self._enter("returning" if mode is Mode.RETURN else "landing")
+        try:
+            self._vehicle.set_mode(mode)
+        except SilentError:
+            raise
+        except VehicleError as error:
+            self._tell("error", f"{error}; landing instead")
+            self._enter("landing")
+            self._vehicle.set_mode(Mode.LAND)
+        self._expected = {Mode.RETURN, Mode.LAND}
+
+    def _release(self) -> None:
+        """No setpoints, no slots, and every mode is fine."""
+        self._guide, self._slots, self._expected, self._flying = None, None, set(), False
+
+    # One step of vehicle time.
+
+    def _step(self) -> None:
+        self._hear()
+        self._judge()
+        if self._slots is not None:
+            self._keep_slots(self._slots)
+        self._steer()
+        self._report()
+        self._clock.step(self._vehicle)
+        self._steps += 1
+
+    def _hear(self) -> None:
+        """Nodes that come and go, and commands. Raises _End."""
+        while not self._ground.changes.empty():
+            node, alive = self._ground.changes.get()
+            known = self._alive.get(node)
+            self._alive[node] = alive
+            if node in PEERS and known is not None and known != alive:
+                self._tell("node_back" if alive else "node_lost", f"{node} node is {'back' if alive else 'gone'}")
+            if node == "mission" and known and not alive and not self._started:
+                raise _End(None, ERROR, "the mission is gone before the start")
+        while not self._ground.commands.empty():
+            command = self._ground.commands.get()
+            self._tell("command", command)
+            match command:
+                case "start":
+                    self._started = True
+                case "hold":
+                    self._held = True
+                case "resume":
+                    self._held = False
+                case "return":
+                    raise _End(Mode.RETURN, FAILSAFE, "return was commanded")
+                case "land":
+                    raise _End(Mode.LAND, FAILSAFE, "land was commanded")
+
+    def _judge(self) -> None:
+        """Silence, the ground, other hands, the fence, the ladder. Raises SilentError, _End, _Yielded."""
+        vehicle, wall = self._vehicle, time.monotonic()
+        if self._silence.over(vehicle.heard, wall) and self._phase != "connecting":
+            raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for 3 s")
+        telemetry = vehicle.telemetry
+        if self._flying and not telemetry.armed:
+            raise _End(None, FAILSAFE, f"the vehicle disarmed in mode {telemetry.mode_name}")
+        if self._expected and telemetry.mode not in self._expected:
+            self._expected, self._guide = set(), None
+            self._tell("mode", f"{telemetry.mode_name} was chosen by autopilot or pilot: obeyed")
+            raise _Yielded
+        if self._guide is None:
+            return
+        position, _ = self._here()
+        if not self._fence.contains(vec3(position), margin=-BREACH_M):
+            raise _End(Mode.RETURN, FAILSAFE, f"outside the fence at {_rounded(position)}")
+        if self._slots is not None and self._slots.deadman.rung(self._clock.now) is Rung.RETURN:
+            raise _End(Mode.RETURN, FAILSAFE, f"no good action for {self._config.grace_s:g} s")
+
+    def _keep_slots(self, slots: Slots) -> None:
+        """Open what is due, take what has come, hold what has not."""
+        position, velocity = self._here()
+        if slots.due(self._clock.now):
+            opened = slots.open(position, velocity, self._vehicle.telemetry.attitude_rad)
+            self._malformed = self._ground.malformed_actions
+            self._ground.slot.send(opened)
+            if opened.flown is not None:
+                self._account(opened.flown)
+            if self._clock.frozen_between_steps and not slots.closed:
+                self._await_action(slots)
+        self._take_actions(slots)
+        if slots.awaiting and slots.deadman.rung(self._clock.now) is Rung.HOLD:
+            slots.hold(self._clock.now, "missing", "no action by the deadline")
+        slots.sample(self._clock.now, position, velocity)
+
+    def _await_action(self, slots: Slots) -> None:
+        """Vehicle time stands still until the slot's action is there, or will not come."""
+        patience = time.monotonic() + self._config.action_wait_wall_s
+        while slots.awaiting and time.monotonic() < patience and self._may_come():
+            with contextlib.suppress(queue.Empty):
+                self._take(slots, self._ground.actions.get(timeout=0.02))
+            self._take_actions(slots)
+            self._hear()
+            self._publish_health()
+        self._silence.excuse(time.monotonic())
+        if slots.awaiting:
+            slots.hold(self._clock.now, "missing", "no action")
+
+    def _may_come(self) -> bool:
+        return self._config.await_restart or all(self._alive.get(node, True) for node in PEERS)
+
+    def _take_actions(self, slots: Slots) -> None:
+        while not self._ground.actions.empty():
+            self._take(slots, self._ground.actions.get())
+        if slots.awaiting and self._ground.malformed_actions > self._malformed:
+            slots.hold(self._clock.now, "rejected", "malformed action")
+
+    def _take(self, slots: Slots, action: m.Action) -> None:
+        if action.slot != slots.number:
+            self._counters["actions_for_other_slots"] += 1
+        elif self._guide is None:
+            slots.act(action, self._clock.now, f"control yielded to {self._vehicle.telemetry.mode_name}")
+        else:
+            slots.act(action, self._clock.now, "held by command" if self._held else None)
+
+    def _steer(self) -> None:
+        if self._guide is None:
+            return
+        position, velocity = self._here()
+        envelope = Envelope(
+            self._tracking_limits,
+            self._fence,
+            self._dialect.reaction_s,
+            self._config.tick_ms / 1000,
+            self._vehicle.send_velocity,
+        )
+        wanted = track(self._guide(self._clock.now), position, self._dialect.lead_s)
+        sent = envelope.send(wanted, self._config.panel_heading_rad, position, velocity)
+        self._counters["setpoints"] += 1
+        for reason in sent.reasons:
+            self._counters[f"setpoints_clipped_{reason.replace(' ', '_')}"] += 1
+            if self._slots is not None and reason in TELLING:
+                self._slots.clipped(f"envelope: {reason}")
+
+    def _report(self) -> None:
+        hz = self._config.setpoint_hz
+        if self._steps % hz == 0:
+            self._vehicle.beat()
+        if self._steps % round(hz * SAMPLE_S) == 0:
+            self._publish_state()
+        for text in self._vehicle.status_texts():
+            self._tell("statustext", text)
+        if self._slots is not None and self._guide is not None and self._slots.decided:
+            self._enter("slots" if self._slots.acting else "holding")
+        self._publish_health()
+
+    # Commands: on zenoh's thread, so only single reads.
+
+    def _objection(self, name: m.CommandName) -> str:
+        """Why a command cannot be taken now; empty when it can."""
+        phase = self._phase
+        if phase == "ended":
+            return "the flight is over"
+        match name:
+            case "start" if self._started:
+                return "already started"
+            case "hold" if phase not in ("transit", "slots"):
+                return f"nothing to hold in phase {phase}"
+            case "resume" if phase not in ("holding", "yielded") or not self._flying:
+                return f"nothing to resume in phase {phase}"
+            case "resume":
+                position = self._vehicle.telemetry.position_enu
+                if position is None or not self._fence.contains(vec3(position)):
+                    return "the vehicle is outside the fence"
+        return ""
+
+    # Telling.
+
+    def _enter(self, phase: str) -> None:
+        if phase != self._phase:
+            self._phase = phase
+            self._tell("phase", phase)
+
+    def _tell(self, kind: str, text: str) -> None:
+        self._ground.tell(kind, text)
+
+    def _account(self, flown: m.FlownSlot) -> None:
+        self._counters[f"slots_{flown.outcome}"] += 1
+        told = [reason for reason in flown.reasons if reason not in ("acceleration", "speed", "climb")]
+        if told:
+            self._tell("slot", f"slot {flown.slot} {flown.outcome}: {', '.join(told)}")
+
+    def _publish_state(self) -> None:
+        telemetry = self._vehicle.telemetry
+        if telemetry.position_enu is None:
+            return
+        position, velocity = self._here()
+        self._ground.state.send(
+            m.VehicleState(
+                time_s=self._clock.now,
+                position_enu=vec3(position),
+                velocity_enu=vec3(velocity),
+                attitude_rad=telemetry.attitude_rad,
+                mode=telemetry.mode_name,
+                armed=telemetry.armed,
+                landed=telemetry.landed,
+                battery_remaining=telemetry.battery_remaining,
+                home_lat_lon_alt=telemetry.home_lat_lon_alt,
+                phase=self._phase,
+            )
+        )
+
+    def _publish_health(self, final: bool = False) -> None:
+        self._ground.publish_health(self._counters + self._vehicle.counters, final)
+
+    # Views.
+
+    def _here(self) -> tuple[Vector, Vector]:
+        """Position and velocity now. Raises VehicleError when there is none."""
+        return self._vehicle.telemetry.at(self._clock.now)
+
+    def _follow(self, way: SlotProfile | Transit) -> None:
+        """Track `way`, which starts now."""
+        since_s = self._clock.now
+        self._guide = lambda time_s: way.at(time_s - since_s)
+
+    @property
+    def _fence(self) -> Box:
+        return self._config.flight_fence if self._slots is None else self._config.slot_fence
+
+
+def _rounded(position: Vector) -> str:
+    return f"({', '.join(f'{c:.1f}' for c in position.tolist())}) m"

@@ -1,0 +1,184 @@
+"""A flight's other parts: a real SITL process, a real zenoh session and a small agent that answers each slot."""
+
+import contextlib
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+
+import pytest
+
+from autopilot_bridge.config import BridgeConfig
+from autopilot_bridge.node import run
+from bus import messages as m
+from bus import topics
+from bus.session import free_endpoint, open_session
+
+
+def free_udp_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Sitl:
+    """`python -m sitl` on free ports; ends with the test."""
+
+    def __init__(self, *options):
+        self.port = free_udp_port()
+        command = [sys.executable, "-m", "sitl", "--companion-port", str(self.port), "--companion-bind", "0"]
+        command += ["--gcs-port", str(free_udp_port()), "--gcs-bind", "0", *options]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.control = None
+        for line in self.process.stdout:
+            if line.startswith("control "):
+                self.control = line.split()[1]
+            if line.startswith("control ") or ("--lockstep" not in options and line.startswith("gcs ")):
+                break
+
+    def close(self):
+        self.process.terminate()
+        self.process.wait(10)
+        self.process.stdout.close()
+
+
+class Agent:
+    """Answers slot k with `decide(k)`: a displacement, None for silence, or a whole Action."""
+
+    def __init__(self, session, vehicle, decide):
+        self.decide = decide
+        self.publisher = topics.Publisher(session, vehicle, topics.ACTION)
+        self.subscriber = topics.subscribe(session, vehicle, topics.SLOT, self.answer, Counter())
+
+    def answer(self, opened):
+        if opened.closing or (decision := self.decide(opened)) is None:
+            return
+        self.publisher.send(decision if isinstance(decision, m.Action) else action(opened.slot, decision))
+
+
+def action(slot, displacement):
+    return m.Action(
+        slot=slot,
+        time_s=0.0,
+        source="test",
+        displacement_enu=tuple(displacement),
+        theta_reflection=[],
+        split_angle=[],
+        sign=[],
+        beamforming=[],
+        raw=[],
+    )
+
+
+class Flight:
+    """One bridge on a thread, and everything it said."""
+
+    def __init__(self, config, decide, tlog=None):
+        self.endpoint = free_endpoint()
+        self.session = open_session(listen=self.endpoint)
+        self.ground = open_session(connect=[self.endpoint])
+        self.vehicle = "test"
+        self.states, self.slots, self.events, self.healths = [], [], [], []
+        refused = Counter()
+        self.subscribers = [
+            topics.subscribe(self.ground, self.vehicle, topic, sink.append, refused)
+            for topic, sink in (
+                (topics.STATE, self.states),
+                (topics.SLOT, self.slots),
+                (topics.EVENT, self.events),
+                (topics.HEALTH, self.healths),
+            )
+        ]
+        self.agent = Agent(self.ground, self.vehicle, decide)
+        time.sleep(0.2)  # for the two sessions to know of each other's subscribers
+        self.code = None
+        self.thread = threading.Thread(target=self._fly, args=(config, tlog))
+        self.thread.start()
+
+    def _fly(self, config, tlog):
+        self.code = run(config, self.vehicle, self.session, tlog)
+
+    def command(self, name):
+        return topics.send_command(self.ground, self.vehicle, m.Command(name=name))
+
+    def wait(self, timeout_s=120):
+        """The exit code."""
+        self.thread.join(timeout_s)
+        assert not self.thread.is_alive(), "still flying"
+        self.until(lambda: any(event.kind == "ended" for event in self.events), "the ended event")
+        return self.code
+
+    def until(self, condition, what, timeout_s=60):
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, f"waited in vain for {what}"
+            time.sleep(0.005)
+
+    def until_slot(self, number):
+        self.until(lambda: self.slots and self.slots[-1].slot >= number, f"slot {number}")
+
+    def until_phase(self, phase):
+        self.until(lambda: phase in self.phases, f"phase {phase}")
+
+    @property
+    def phases(self):
+        return [event.text for event in self.events if event.kind == "phase"]
+
+    def told(self, kind):
+        return [event.text for event in self.events if event.kind == kind]
+
+    @property
+    def flown(self):
+        return [opened.flown for opened in self.slots if opened.flown is not None]
+
+    def close(self):
+        self.session.close()
+        self.ground.close()
+
+
+@pytest.fixture
+def sitl():
+    """Start SITLs: `sitl("--lockstep")`."""
+    with contextlib.ExitStack() as stack:
+
+        def start(*options):
+            started = Sitl(*options)
+            stack.callback(started.close)
+            return started
+
+        yield start
+
+
+@pytest.fixture
+def fly(tmp_path):
+    """Start flights: `fly(config, decide)`."""
+    with contextlib.ExitStack() as stack:
+
+        def start(config, decide=lambda opened: (0.0, 0.0, 0.0), tlog=None):
+            flight = Flight(config, decide, tlog)
+            stack.callback(flight.close)
+            return flight
+
+        yield start
+
+
+def bridge_config(sitl, **changes):
+    """A short flight: to 12 m, four slots, and down."""
+    clock = {"kind": "lockstep", "control": sitl.control} if sitl.control else {"kind": "paced"}
+    config = {
+        "autopilot": f"udpin://127.0.0.1:{sitl.port}",
+        "clock": clock,
+        "slots": 4,
+        "start_position_enu": (0.0, 0.0, 12.0),
+        "box": {"x": (-50, 50), "y": (-50, 50), "z": (8, 40)},
+        "at_end": "land",
+        "autostart": True,
+    }
+    return BridgeConfig(**(config | changes))
+
+
+@pytest.fixture(name="bridge_config")
+def bridge_config_fixture():
+    return bridge_config
