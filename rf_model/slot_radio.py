@@ -59,7 +59,8 @@ class SlotRadio:
 
     `open` takes each `SlotOpened` and `apply` each `Action`; both return the messages to publish, in order. In every
     slot exactly one `RisConfiguration` and one `LinkReport` come out, whatever goes in. `counters` says what happened:
-    slots, applied, held, default, rejected, late, stray, repeated_slots, lost_slots, flights.
+    slots, flights, repeated_slots and lost_slots; applied, held and default (together one a slot); rejected, stray,
+    doubtful (seemed late) and late (was, by the bridge's word).
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -151,6 +152,7 @@ class SlotRadio:
             return []
         if late:
             self._doubtful = action
+            self.counters["doubtful"] += 1
             return []
         return [self._set(self._slot, action)]
 

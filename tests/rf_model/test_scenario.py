@@ -1,0 +1,106 @@
+"""Scenarios: what the presets mean, what is refused and how it is said."""
+
+import math
+import subprocess
+import sys
+
+import pytest
+from pydantic import ValidationError
+
+from rf_model.scenario import PRESETS, Scenario, ScenarioError, make_scenario, preset
+
+
+def test_presets_are_the_four_of_the_design():
+    assert list(PRESETS) == ["paper_literal", "physical_1km", "physical_small", "prototype_s4"]
+
+
+def test_small_twin_has_the_surface_of_the_large_one():
+    small, large = PRESETS["physical_small"], PRESETS["physical_1km"]
+    assert (small.elements, large.elements) == (16, 256)
+    assert small.panel == large.panel
+    # 16 elements share what one controlled group adds up coherently, twice on the cascade's amplitude.
+    assert small.ris_gain_db - large.ris_gain_db == pytest.approx(20 * math.log10(16), abs=0.1)
+
+
+@pytest.mark.parametrize(("noise", "dbm"), [("thermal", -174 + 7 + 60), ("total", -95), ("density", -95 + 60)])
+def test_noise_readings(noise, dbm):
+    assert 10 * math.log10(preset("physical_small", noise=noise).noise_w) + 30 == pytest.approx(dbm)
+
+
+def test_power_limit_in_watts():
+    assert PRESETS["physical_small"].p_max_w == pytest.approx(0.7943, abs=1e-4)
+
+
+def test_wing_reads_the_scenario():
+    literal = PRESETS["paper_literal"]
+    assert literal.wing.induced_velocity_mps == 4.028
+    assert (literal.wing.induced, literal.wing.climb, literal.panel.v_perp) == ("paper", "signed", "speed")
+    assert PRESETS["physical_1km"].wing.induced_velocity_mps == pytest.approx(4.504, abs=5e-4)
+    assert PRESETS["physical_1km"].hover_power_w == pytest.approx(192.5, abs=0.05)
+
+
+def test_half_of_the_users_start_on_the_reflection_side_unless_said():
+    assert preset("physical_small", users=7).reflection_count == 3
+    assert preset("physical_small", users=7, reflection_users=0).reflection_count == 0
+
+
+def test_every_preset_survives_being_written_down():
+    for scenario in PRESETS.values():
+        assert Scenario.model_validate_json(scenario.model_dump_json()) == scenario
+
+
+def test_path_loss_overrides_one_link_and_keeps_the_others():
+    scenario = preset("physical_small", path_loss={"ris_user": "free_space"})
+    assert (scenario.path_loss.ris_user, scenario.path_loss.bs_user) == ("free_space", "paper")
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"v_max_mps": -3}, ["v_max_mps", "-3", "greater than 0"]),
+        ({"speed": 3}, ["speed", "no such field"]),
+        ({"sinr": "voltage"}, ["sinr", "voltage", "'power' or 'amplitude'"]),
+        ({"slots": 0}, ["slots", "0", "greater than or equal to 1"]),
+        ({"users": 0}, ["users", "greater than or equal to 1"]),
+        ({"slots": 2.5}, ["slots", "2.5", "integer"]),
+        ({"kappa": math.nan}, ["kappa", "nan", "finite"]),
+        ({"start_enu": (0, 0, math.inf)}, ["start_enu.2", "inf", "finite"]),
+        ({"path_loss": {"bs_user": "okumura"}}, ["path_loss.bs_user", "okumura", "tr38901_umi"]),
+        ({"timing": "post"}, ["timing", "post", "'pre'"]),
+        ({"box_enu": ((1, -1), (-1, 1), (30, 60))}, ["box_enu", "x from 1 to -1"]),
+        ({"start_enu": (0, 0, 20)}, ["start_enu", "z = 20", "30 to 120"]),
+        ({"base_station_enu": (0, 0, 60)}, ["base_station_enu", "start_enu"]),
+        ({"user_radius_m": (100, 20)}, ["user_radius_m", "100 to 20"]),
+        ({"reflection_users": 5}, ["reflection_users", "5", "users (4)"]),
+        ({"user_height_m": 30, "box_enu": ((-1, 1), (-1, 1), (20, 60))}, ["box_enu", "user_height_m"]),
+        (
+            {"user_height_m": 15, "path_loss": {"bs_user": "tr38901_uma"}},
+            ["user_height_m", "15", "1.5 to 13", "tr38901_uma"],
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line_that_names_it(fields, words):
+    with pytest.raises(ScenarioError) as error:
+        preset("physical_small", **fields)
+    assert all(word in str(error.value) for word in words), str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_several_faults_are_all_named():
+    with pytest.raises(ScenarioError, match=r"slots: .*; users: "):
+        make_scenario({"slots": 0, "users": 0})
+
+
+def test_unknown_preset_names_those_there_are():
+    with pytest.raises(ScenarioError, match="'paper' is not one of paper_literal, physical_1km"):
+        preset("paper")
+
+
+def test_scenarios_do_not_change():
+    with pytest.raises(ValidationError, match="frozen"):
+        PRESETS["physical_small"].slots = 3
+
+
+def test_scenario_is_read_without_loading_torch():
+    code = "import sys, rf_model.scenario; sys.exit('torch' in sys.modules or 'numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
