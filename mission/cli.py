@@ -158,6 +158,36 @@ def bridge(
 
 
 @app.command()
+def train(
+    runs: Annotated[
+        list[Path] | None, typer.Argument(metavar="[RUN]...", help="Run folders to learn from, with --offline.")
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the policy and its state go.")] = Path(
+        "runs/train"
+    ),
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Scenario preset to train in.")] = "physical_small",
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Hyper-parameters (YAML): fields of agent.training_config.")
+    ] = None,
+    episodes: Annotated[int | None, typer.Option(help="Replaces the config's episodes.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Replaces the config's seed.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the state in the folder.")] = False,
+    offline: Annotated[bool, typer.Option("--offline", help="Learn from run folders instead of a simulation.")] = False,
+) -> None:
+    """Train a DA-DDPG policy: online in the batched environment, or with --offline from flown runs."""
+    with _one_line_errors():
+        from mission.train import TrainInputError, learn_offline, learn_online, load_config
+
+        if offline != bool(runs):
+            raise TrainInputError("--offline takes one run folder or more, and run folders are taken with it only")
+        settings = load_config(config, episodes=episodes, seed=seed)
+        if runs:
+            learn_offline(runs, settings, out)
+        else:
+            learn_online(preset, settings, out, resume=resume)
+
+
+@app.command()
 def report(run: RunArgument) -> None:
     """Write report.json and report.png of a run folder again, and print the table."""
     with _one_line_errors():
@@ -213,11 +243,13 @@ def _exit_code(error: Exception) -> int | None:
     from mission.flight_log import FlightLogError
     from mission.fly import FlightError
     from mission.mission_file import MissionError
+    from mission.replay import ReplayError
+    from mission.train import TrainInputError
     from rf_model.scenario import ScenarioError
 
-    if isinstance(error, MissionError | ScenarioError | CheckpointError | FlightLogError):
+    if isinstance(error, MissionError | ScenarioError | CheckpointError | FlightLogError | TrainInputError):
         return BAD_INPUT
-    if isinstance(error, BusError | FlightError | OSError):
+    if isinstance(error, BusError | FlightError | ReplayError | OSError):
         return ERROR
     return None
 

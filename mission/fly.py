@@ -111,8 +111,7 @@ class _Flight:
             stack.enter_context(self._view)
             self._session, self._recorder = session, recorder
             self._start_nodes(endpoint)
-            code = self._watch()
-        return code
+            return self._watch()
 
     def _declare(self, session: zenoh.Session) -> list[object]:
         name, put = self._mission.vehicle.name, self._inbox.put

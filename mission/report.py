@@ -119,7 +119,7 @@ def table(report: Report) -> RenderableType:
     users = Table(title=f"{report.mission}: {report.slots} of {report.slots_planned} slots", title_justify="left")
     users.add_column("user", justify="right")
     users.add_column("side at the start")
-    users.add_column("mean rate [kbit/s]", justify="right")
+    users.add_column("mean rate, kbit/s", justify="right")
     users.add_column(f"slots below {report.qos_bps / 1e3:g} kbit/s", justify="right")
     for number, user in enumerate(report.users, start=1):
         users.add_row(str(number), user.region, f"{user.mean_rate_bps / 1e3:.0f}", f"{user.below_qos:.0%}")
