@@ -46,8 +46,10 @@ class Environment:
     """B worlds of one scenario, stepped together; everything random comes from one seeded generator.
 
     `timing: pre`: the reward of a slot takes the rates of the channels observed at its opening and the power of the
-    displacement commanded in it; the vehicle is at the new place when the next slot opens. It flies as commanded,
-    except that it stops at the box: what autopilot and envelope make of a displacement is seen in flight only.
+    displacement made in it; the vehicle is at the new place when the next slot opens. It moves as commanded, except
+    that it stops at the box, and then pays for what it moved: edge-on flight costs less than hovering, so a vehicle
+    that paid for the command could save power by pushing against the wall. What autopilot and envelope make of a
+    displacement is seen in flight only.
 
     The same seed and batch size give the same episodes, bit for bit.
     """
@@ -82,10 +84,10 @@ class Environment:
         action = decode(raw, scenario)
         trc = Trc(action.theta_reflection, action.split_angle, action.sign)
         rates = slot_rates(scenario, world.channels, trc, action.beamforming)
-        power = slot_power(scenario, action.displacement_enu / scenario.slot_s, self._yaw)
+        position = torch.clamp(world.position_enu + action.displacement_enu, self._low, self._high)
+        power = slot_power(scenario, (position - world.position_enu) / scenario.slot_s, self._yaw)
 
         self.slot += 1
-        position = torch.clamp(world.position_enu + action.displacement_enu, self._low, self._high)
         observation = self._open(position, move_users(scenario, world.users, self.generator))
         return Step(
             observation=observation,

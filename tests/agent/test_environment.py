@@ -133,16 +133,17 @@ def test_the_reward_is_of_the_channels_observed_and_the_move_acts_on_the_next_sl
     assert not torch.equal(still.step(raw).rates.rate_bps, moving.step(raw).rates.rate_bps)
 
 
-def test_the_vehicle_stops_at_the_box_but_pays_for_the_commanded_move():
-    scenario = preset("physical_small", start_enu=(100.0, 0.0, 60.0))
+def test_at_the_box_the_vehicle_stops_and_pays_for_what_it_moved():
+    """Pushing north (edge-on) against the wall would else cost less than the hovering that it is."""
+    scenario = preset("physical_small", start_enu=(0.0, 100.0, 60.0))
     environment = Environment(scenario, batch=1, seed=0)
     environment.reset()
     raw = random_raw(scenario, 1, 0)
-    raw[0, :3] = torch.tensor([1.0, 0.0, 0.0])
+    raw[0, :3] = torch.tensor([0.0, 1.0, 0.0])
     step = environment.step(raw)
-    assert environment.world.position_enu[0].tolist() == [100.0, 0.0, 60.0]
-    assert step.action.displacement_enu[0, 0].item() == pytest.approx(10)
-    assert step.power_w.item() > 300  # 10 m/s face-on with 256 elements
+    assert environment.world.position_enu[0].tolist() == [0.0, 100.0, 60.0]
+    assert step.action.displacement_enu[0, 1].item() == pytest.approx(10)
+    assert step.power_w.item() == pytest.approx(scenario.hover_power_w, rel=1e-5)
 
 
 def test_an_episode_lasts_its_slots_and_then_wants_a_reset():
