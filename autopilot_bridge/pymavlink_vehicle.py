@@ -4,6 +4,7 @@ A command is done when telemetry shows its effect, whether its ACK came or not; 
 when the autopilot refuses it or never does it.
 """
 
+import contextlib
 import math
 import struct
 import time
@@ -122,9 +123,14 @@ class PymavlinkVehicle(Vehicle):
         self._link.stamp_by(lambda: self._clock.now)
 
     def await_armable(self) -> None:
-        heard = len(self._texts)
-        if not self._until(lambda: self._telemetry.armable and self._homes > 0, ARMABLE_S):
-            raise RefusedError(f"autopilot is not ready to arm after {ARMABLE_S:g} s{self._since(heard)}")
+        if self._telemetry.mode is not Mode.HOLD:  # PX4 arms in no mode that cannot begin a flight, such as LAND
+            with contextlib.suppress(RefusedError):
+                self.set_mode(Mode.HOLD)
+        if self._until(lambda: self._telemetry.armable and self._homes > 0, ARMABLE_S):
+            return
+        self.arm()  # is refused, and that makes the autopilot say why
+        self.disarm()
+        raise RefusedError(f"autopilot arms, but does not call itself ready after {ARMABLE_S:g} s")
 
     def arm(self) -> None:
         self._command("arm", lambda: self._telemetry.armed, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot_bridge.config import BridgeConfig
 from autopilot_bridge.node import run
@@ -31,12 +32,19 @@ class Sitl:
         command = [sys.executable, "-m", "sitl", "--companion-port", str(self.port), "--companion-bind", "0"]
         command += ["--gcs-port", str(free_udp_port()), "--gcs-bind", "0", *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.control = None
-        for line in self.process.stdout:
-            if line.startswith("control "):
-                self.control = line.split()[1]
-            if line.startswith("control ") or ("--lockstep" not in options and line.startswith("gcs ")):
-                break
+        printed = {}
+        while not {"gcs", "control"} <= printed.keys() and ("--lockstep" in options or "gcs" not in printed):
+            name, address, *_ = self.process.stdout.readline().split()
+            printed[name] = address
+        self.gcs, self.control = printed["gcs"], printed.get("control")
+
+    def pilot(self, command, *params):
+        """A COMMAND_LONG of a ground station, on the SITL's other link."""
+        codec = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+        message = mavlink.MAVLink_command_long_message(1, 1, command, 0, *params, *[0.0] * (7 - len(params)))
+        host, port = self.gcs.split(":")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            out.sendto(message.pack(codec), (host, int(port)))
 
     def close(self):
         self.process.terminate()
@@ -152,7 +160,7 @@ def sitl():
 
 
 @pytest.fixture
-def fly(tmp_path):
+def fly():
     """Start flights: `fly(config, decide)`."""
     with contextlib.ExitStack() as stack:
 
@@ -164,8 +172,8 @@ def fly(tmp_path):
         yield start
 
 
-def bridge_config(sitl, **changes):
-    """A short flight: to 12 m, four slots, and down."""
+def short_flight(sitl, **changes):
+    """To 12 m, four slots, and down."""
     clock = {"kind": "lockstep", "control": sitl.control} if sitl.control else {"kind": "paced"}
     config = {
         "autopilot": f"udpin://127.0.0.1:{sitl.port}",
@@ -179,6 +187,13 @@ def bridge_config(sitl, **changes):
     return BridgeConfig(**(config | changes))
 
 
-@pytest.fixture(name="bridge_config")
-def bridge_config_fixture():
-    return bridge_config
+@pytest.fixture
+def bridge_config():
+    """`bridge_config(sitl, **changes)`: a short flight's BridgeConfig."""
+    return short_flight
+
+
+@pytest.fixture
+def make_action():
+    """`make_action(slot, displacement)`: an Action of which only the bridge's part is filled."""
+    return action
