@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airframe.power import (
@@ -112,6 +112,7 @@ def test_induced_velocity_of_20_newton_is_the_one_printed():
 
 
 @given(wings, speeds, speeds, speeds, st.floats(-math.pi, math.pi), st.sampled_from(["normal", "speed"]))
+@settings(deadline=None)
 def test_floats_and_tensors_agree(wing, x, y, z, heading, v_perp):
     panel = Panel(area_m2=0.2, v_perp=v_perp)
     nx, ny = math.cos(heading), math.sin(heading)
@@ -128,6 +129,7 @@ def test_compiled_terms_agree():
 
 
 @given(speeds, speeds, speeds)
+@settings(deadline=None)
 def test_default_power_never_falls_below_what_level_flight_costs(x, y, z):
     panel = Panel(area_m2=0.2)
     level = total_power(PAPER_WING, panel, x, y, 0.0, 1.0, 0.0)

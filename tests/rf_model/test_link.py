@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rf_model.channels import Channels
@@ -130,6 +130,7 @@ def test_strong_signal_does_not_wash_out_weak_interference_in_float32():
 
 
 @given(rates_of_users)
+@settings(deadline=None)
 def test_indices_stay_in_their_ranges(rates):
     rate = torch.tensor(rates, dtype=torch.float64)
     harmonic, jain = hfi(rate).item(), jfi(rate).item()
@@ -140,6 +141,7 @@ def test_indices_stay_in_their_ranges(rates):
 
 
 @given(st.lists(st.floats(1, 1e8), min_size=2, max_size=8))
+@settings(deadline=None)
 def test_fair_rate_is_hfi_times_sum_rate(rates):
     rate = torch.tensor(rates, dtype=torch.float64)
     arithmetic = sum(rates) / len(rates)

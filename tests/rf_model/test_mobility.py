@@ -52,7 +52,7 @@ def test_prototype_users_walk_one_way_about_their_own_centre():
     heading=st.floats(-math.pi, math.pi),
     half_angle=st.floats(0.3, math.pi / 2),
 )
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 def test_users_stay_in_their_sectors(seed, mobility, heading, half_angle):
     scenario = preset(
         "physical_small",

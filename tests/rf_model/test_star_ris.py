@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rf_model.star_ris import Trc, TrcError, check_trc, neutral_trc
@@ -19,6 +19,7 @@ def trc_of(rows, dtype=torch.float64) -> Trc:
 
 
 @given(st.lists(elements, min_size=1, max_size=8))
+@settings(deadline=None)
 def test_every_element_is_lossless_and_coupled(rows):
     trc = trc_of(rows)
     reflection, transmission = trc.coefficients()
@@ -30,6 +31,7 @@ def test_every_element_is_lossless_and_coupled(rows):
 
 
 @given(st.lists(elements, min_size=1, max_size=8), st.sampled_from([torch.float32, torch.float64]))
+@settings(deadline=None)
 def test_transmission_phase_is_wrapped_and_is_that_of_the_coefficient(rows, dtype):
     trc = trc_of(rows, dtype)
     theta = trc.theta_transmission
@@ -40,6 +42,7 @@ def test_transmission_phase_is_wrapped_and_is_that_of_the_coefficient(rows, dtyp
 
 
 @given(st.lists(elements, min_size=1, max_size=8), st.sampled_from([torch.float32, torch.float64]))
+@settings(deadline=None)
 def test_feasible_coefficients_pass(rows, dtype):
     check_trc(trc_of(rows, dtype), len(rows))
 
