@@ -23,7 +23,7 @@ import numpy as np
 from airframe.slot_profile import Reference, SlotProfile, Vector, brake
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import Box, BridgeConfig, Limits
-from autopilot_bridge.deadman import Rung, Silence
+from autopilot_bridge.deadman import SILENCE_WALL_S, Rung, Silence
 from autopilot_bridge.dialects import Dialect
 from autopilot_bridge.envelope import Envelope
 from autopilot_bridge.ground import Ground
@@ -344,7 +344,7 @@ class Flight:
         """Silence, the ground, other hands, the fence, the ladder. Raises SilentError, _End, _Yielded."""
         vehicle, wall = self._vehicle, time.monotonic()
         if self._silence.over(vehicle.heard, wall) and self._phase != "connecting":
-            raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for 3 s")
+            raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for {SILENCE_WALL_S:g} s")
         telemetry = vehicle.telemetry
         if self._flying and not telemetry.armed:
             raise _End(None, FAILSAFE, f"the vehicle disarmed in mode {telemetry.mode_name}")

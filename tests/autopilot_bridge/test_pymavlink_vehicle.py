@@ -1,0 +1,131 @@
+"""The back end against a real SITL process, in lockstep, with frames lost on the way."""
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from autopilot_bridge.clock import Lockstep
+from autopilot_bridge.dialects.px4 import PX4
+from autopilot_bridge.link import Link
+from autopilot_bridge.pymavlink_vehicle import PymavlinkVehicle
+from autopilot_bridge.vehicle import Mode, RefusedError, VehicleError
+
+
+def message_id(frame):
+    return int.from_bytes(frame[7:10], "little")
+
+
+class Loss:
+    """Loses the first `count` frames of a message id."""
+
+    def __init__(self, lost, count):
+        self.lost, self.left = lost, count
+
+    def __call__(self, frame):
+        if message_id(frame) == self.lost and self.left > 0:
+            self.left -= 1
+            return ()
+        return (frame,)
+
+
+@pytest.fixture
+def connect(sitl):
+    opened = []
+
+    def start(**tamper):
+        autopilot = sitl("--lockstep")
+        link = Link(f"udpin://127.0.0.1:{autopilot.port}", 1, **tamper)
+        clock = Lockstep(autopilot.control, 50)
+        vehicle = PymavlinkVehicle(link, PX4, 1, clock, lambda: clock.step(vehicle))
+        opened.append((clock, vehicle))
+        vehicle.connect()
+        return vehicle
+
+    yield start
+    for clock, vehicle in opened:
+        clock.close(over=True)
+        vehicle.close()
+
+
+def test_arms_takes_off_and_hovers_about_home(connect):
+    vehicle = connect()
+    vehicle.await_armable()
+    vehicle.arm()
+    vehicle.takeoff(5.0)
+    position, _ = vehicle.telemetry.at(vehicle.telemetry.time_s)
+    assert position == pytest.approx([0, 0, 5], abs=1.0)
+    assert vehicle.telemetry.mode is Mode.HOLD
+    assert not vehicle.telemetry.landed
+    assert vehicle.telemetry.home_lat_lon_alt == pytest.approx((47.397743, 8.545594, 489.4), abs=0.1)
+    with pytest.raises(RefusedError, match="Disarming denied: not landed"):
+        vehicle.disarm()
+    with pytest.raises(RefusedError, match="Switching to mode 'Offboard' is currently not possible"):
+        vehicle.set_mode(Mode.OFFBOARD)
+    for mode in (Mode.RETURN, Mode.LAND, Mode.HOLD):
+        vehicle.set_mode(mode)
+        assert vehicle.telemetry.mode is mode
+
+
+def test_flies_where_the_setpoints_point_in_enu(connect):
+    vehicle = connect()
+    vehicle.await_armable()
+    vehicle.arm()
+    vehicle.takeoff(5.0)
+    steps = iter(range(10_000))
+
+    def east_and_up():
+        vehicle.send_velocity(np.array([2.0, 0.0, 0.5]), yaw_enu=0.0)
+        next(steps)
+
+    step = vehicle._wait
+    vehicle._wait = lambda: (east_and_up(), step())
+    for _ in range(10):
+        vehicle._wait()
+    vehicle.set_mode(Mode.OFFBOARD)
+    start, _ = vehicle.telemetry.at(vehicle.telemetry.time_s)
+    for _ in range(100):
+        vehicle._wait()
+    moved = vehicle.telemetry.position_enu - start
+    assert moved[0] > 6.0
+    assert moved[1] == pytest.approx(0.0, abs=0.2)
+    assert moved[2] > 1.0
+    assert vehicle.telemetry.attitude_rad[2] == pytest.approx(0.0, abs=0.1)  # faces east
+
+
+@pytest.mark.parametrize(
+    "tamper",
+    [
+        {"tamper_in": Loss(mavlink.MAVLINK_MSG_ID_COMMAND_ACK, 1000)},
+        {"tamper_out": Loss(mavlink.MAVLINK_MSG_ID_COMMAND_LONG, len(PX4.rates_hz) + 2)},
+        {"tamper_in": lambda frame: (frame, frame)},
+    ],
+    ids=["acks lost", "commands lost", "duplicates"],
+)
+def test_arms_by_state_and_by_repetition(connect, tamper):
+    vehicle = connect(**tamper)
+    vehicle.await_armable()
+    vehicle.arm()
+    assert vehicle.telemetry.armed
+
+
+def test_a_long_status_text_is_put_together(connect):
+    vehicle = connect()
+    with pytest.raises(RefusedError, match="Arming denied: Resolve system health failures first"):
+        vehicle.arm()  # seconds too early
+    assert "Arming denied: Resolve system health failures first" in vehicle.status_texts()
+    assert vehicle.status_texts() == []
+
+
+def test_parameters_of_both_types(connect):
+    vehicle = connect(tamper_out=Loss(mavlink.MAVLINK_MSG_ID_PARAM_SET, 1))
+    assert vehicle.parameter("COM_OBL_RC_ACT") == 0
+    vehicle.set_parameter("COM_OBL_RC_ACT", 3)
+    assert vehicle.parameter("COM_OBL_RC_ACT") == 3
+    vehicle.set_parameter("MPC_XY_VEL_MAX", 7.3)
+    assert vehicle.parameter("MPC_XY_VEL_MAX") == pytest.approx(7.3)
+    with pytest.raises(VehicleError, match="NO_SUCH: unknown"):
+        vehicle.parameter("NO_SUCH")
+    with pytest.raises(VehicleError, match=r"COM_OBL_RC_ACT: 3\.5 is not a whole number"):
+        vehicle.set_parameter("COM_OBL_RC_ACT", 3.5)
+    with pytest.raises(VehicleError, match="COM_OBL_RC_ACT: the autopilot did not take 77"):
+        vehicle.set_parameter("COM_OBL_RC_ACT", 77)
