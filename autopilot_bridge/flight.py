@@ -116,6 +116,7 @@ class Flight:
             code = end.code
             self._tell("error" if code == ERROR else "failsafe", str(end))
         self._phase = "ended"
+        self._publish_state()
         self._publish_health(final=True)
         return code
 
