@@ -1,8 +1,7 @@
 """The modes that fly by themselves: takeoff, hold, return, land, and the blind descent of a failsafe.
 
-Each turns the state into a setpoint, tick by tick. `landing` tells the landed-state machine what it is looking at;
-`done` that the mode has nothing left to do.
-"""
+Each turns the state into a setpoint, tick by tick. `landing` tells the landed-state machine that the
+mode is on its way to the ground."""
 
 import math
 from collections.abc import Callable
@@ -32,9 +31,6 @@ class Autonomous(Protocol):
 
     @property
     def landing(self) -> bool: ...
-
-    @property
-    def done(self) -> bool: ...
 
     def step(self, body: Body, dt: float) -> Setpoint: ...
 
@@ -66,12 +62,12 @@ class Loiter:
     """AUTO.LOITER: brake, then hold the place."""
 
     landing = False
-    done = False
 
-    def __init__(self, body: Body, p: Parameters) -> None:
+    def __init__(self, body: Body, p: Parameters, target: Vec3 | None = None) -> None:
+        """`target` is the place to hold; None: where braking ends."""
         self._limits = limits(p)
         self._reference = Reference(vector(body.position), vector(body.velocity))
-        self._target = stopping_point(self._reference, self._limits)
+        self._target = target or stopping_point(self._reference, self._limits)
         self._yaw = heading(body.attitude)
 
     def step(self, body: Body, dt: float) -> Setpoint:
@@ -97,7 +93,7 @@ class Takeoff:
         )
         self._accept = p["NAV_MC_ALT_RAD"]
         self._start = vector(body.position)
-        self._target = (self._start[0], self._start[1], target_down)
+        self.target = (self._start[0], self._start[1], target_down)
         self._reference = Reference(self._start, (0.0, 0.0, 0.0))
         self._yaw = heading(body.attitude)
         self.done = False
@@ -106,8 +102,8 @@ class Takeoff:
         if body.contact_s[0] > 0.0:
             self._reference = Reference(self._start, (0.0, 0.0, -LIFT_OFF_SPEED))
         else:
-            self._reference = approach(self._reference, self._target, vector(body.position), self._limits, dt)
-            self.done = body.position[2] <= self._target[2] + min(self._accept, 0.5 * abs(self._target[2]))
+            self._reference = approach(self._reference, self.target, vector(body.position), self._limits, dt)
+            self.done = body.position[2] <= self.target[2] + min(self._accept, 0.5 * abs(self.target[2]))
         return tracking(self._reference, self._yaw)
 
 
@@ -115,7 +111,6 @@ class Land:
     """AUTO.LAND: brake and come down; slower below MPC_LAND_ALT1, 2 and 3 above home."""
 
     landing = True
-    done = False
 
     def __init__(self, body: Body, p: Parameters, ground_down: float, place: tuple[float, float] | None = None) -> None:
         self._p = p
@@ -150,8 +145,6 @@ class Land:
 
 class Return:
     """AUTO.RTL: climb, fly home, come down to RTL_DESCEND_ALT, wait RTL_LAND_DELAY, land."""
-
-    done = False
 
     def __init__(self, body: Body, p: Parameters, home: Vec3, home_altitude: float, say: Say) -> None:
         self._p = p
@@ -232,7 +225,6 @@ class Descend:
     """What position mode does without sticks: level, coast, sink at MPC_LAND_SPEED."""
 
     landing = False
-    done = False
 
     def __init__(self, body: Body, p: Parameters) -> None:
         self._sink = p["MPC_LAND_SPEED"]

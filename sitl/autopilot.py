@@ -9,9 +9,10 @@ from sitl.commander import Commander
 from sitl.flight_model import FlightModel
 from sitl.frames import Message, Payload
 from sitl.link import Link
+from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.services import clock, commands, missions, parameters, setpoints
-from sitl.telemetry import MESSAGES, Origin, Vehicle, statustexts
+from sitl.telemetry import MESSAGES, Vehicle, statustexts
 from sitl.vehicle_setup import gains, rotorcraft
 
 TICK_MS = 10
@@ -106,7 +107,7 @@ class Autopilot:
             if now < px4.TELEMETRY_MS:
                 continue
             for name, stream in link.streams.items():
-                if stream.take_due(now):
+                if (link.streaming or name == "HEARTBEAT") and stream.take_due(now):
                     if name not in built:
                         built[name] = MESSAGES[name](v)
                     payload = built[name]

@@ -1,5 +1,6 @@
 """Command line of the simulated autopilot: `python -m sitl`, `aerialstar sitl`."""
 
+import sys
 from typing import Annotated
 
 import typer
@@ -32,17 +33,25 @@ def sitl(
     system_id: Annotated[int, typer.Option(min=1, max=250, help="MAVLink system id.")] = 1,
 ) -> None:
     """Simulate a PX4-like quadcopter that MAVLink clients can fly (UDP on loopback)."""
-    from sitl.server import Options, run
-    from sitl.telemetry import Origin
+    from sitl.origin import read_origin
+    from sitl.parameters import ParameterError, Parameters
 
+    parameters = Parameters()
     try:
-        latitude, longitude, altitude = (float(part) for part in home.split(","))
-    except ValueError:
-        raise typer.BadParameter(f"{home!r} is not LAT,LON,ALT", param_hint="--home") from None
-    if not (abs(latitude) <= 85.0 and abs(longitude) <= 180.0 and abs(altitude) <= 10000.0):
-        raise typer.BadParameter(
-            f"{home!r}: allowed are -85 to 85, -180 to 180 degrees, -10000 to 10000 m", param_hint="--home"
-        )
+        parameters.set("MAV_SYS_ID", system_id)
+        for assignment in param or ():
+            parameters.assign(assignment)
+    except ParameterError as error:
+        print(f"sitl: {error}", file=sys.stderr)
+        raise typer.Exit(2) from None
+    try:
+        origin = read_origin(home)
+    except ValueError as error:
+        print(f"sitl: --home: {error}", file=sys.stderr)
+        raise typer.Exit(2) from None
+
+    from sitl.server import Options, run
+
     raise typer.Exit(
         run(
             Options(
@@ -55,8 +64,8 @@ def sitl(
                 control_port=control_port,
                 exit_when_landed=exit_when_landed,
                 seed=seed,
-                origin=Origin(latitude, longitude, altitude),
-                parameters=(f"MAV_SYS_ID={system_id}", *(param or ())),
+                origin=origin,
+                parameters=parameters,
             )
         )
     )

@@ -185,9 +185,11 @@ class Commander:
     def _setpoint(self, dt: float) -> Setpoint:
         if self.mode is Mode.OFFBOARD:
             return self.stream.setpoint or NOTHING
-        setpoint = self._autonomous.step(self._body, dt)
-        if self.mode is Mode.TAKEOFF and self._autonomous.done and self.intended is Mode.TAKEOFF:
+        flown = self._autonomous
+        setpoint = flown.step(self._body, dt)
+        if isinstance(flown, Takeoff) and flown.done and self.intended is Mode.TAKEOFF:
             self._take(Mode.LOITER)
+            self._autonomous = Loiter(self._body, self._p, flown.target)
         return setpoint
 
     # Modes

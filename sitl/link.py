@@ -37,9 +37,21 @@ class Stream:
 class Link:
     """Sends one frame per datagram to a configured peer, or to whoever spoke last on this link."""
 
-    def __init__(self, name: str, bind_port: int, peer_port: int, rates_hz: dict[str, float], system: int) -> None:
-        """Raises PortError when the port is taken."""
+    def __init__(
+        self,
+        name: str,
+        bind_port: int,
+        peer_port: int,
+        rates_hz: dict[str, float],
+        system: int,
+        talks_first: bool = True,
+    ) -> None:
+        """A link that does not talk first sends only heartbeats until somebody speaks on it.
+
+        Raises PortError when the port is taken.
+        """
         self.name = name
+        self._talks_first = talks_first
         self.default_rates_hz = rates_hz
         self.streams: dict[str, Stream] = {}
         self.reset_streams(0)
@@ -69,6 +81,11 @@ class Link:
     def heard(self) -> bool:
         """Whether somebody speaks on this link."""
         return self._heard_ms > 0
+
+    @property
+    def streaming(self) -> bool:
+        """Whether telemetry other than heartbeats is sent."""
+        return self._talks_first or self.heard
 
     def reset_streams(self, now_ms: int) -> None:
         """All streams back to their usual rates."""

@@ -13,9 +13,9 @@ from sitl.autopilot import TICK_MS, Autopilot
 from sitl.control_socket import ControlSocket, read_advance
 from sitl.flight_model import compile_now
 from sitl.link import Link, PortError
-from sitl.parameters import ParameterError, Parameters
+from sitl.origin import Origin
+from sitl.parameters import Parameters
 from sitl.px4 import COMPANION_RATES_HZ, GCS_RATES_HZ
-from sitl.telemetry import Origin
 from sitl.vehicle_setup import gains, rotorcraft
 
 BEHIND_MAX_S = 0.1
@@ -23,6 +23,8 @@ BEHIND_MAX_S = 0.1
 LOCKSTEP_EPOCH_US = 1_767_225_600_000_000
 """SYSTEM_TIME at boot in lockstep, 2026-01-01: the same inputs give the same bytes."""
 COMPILE_NOTICE_S = 1.0
+LINGER_MS = 3000
+"""Vehicle time after the last disarming before the process ends, so that its clients hear of it."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ class Options:
     control_port: int | None = None
     exit_when_landed: bool = False
     seed: int = 0
-    origin: Origin = field(default_factory=lambda: Origin(47.397743, 8.545594, 489.4))
-    parameters: tuple[str, ...] = ()
+    origin: Origin = field(default_factory=Origin)
+    parameters: Parameters = field(default_factory=Parameters)
 
 
 class Stopped(Exception):  # noqa: N818  # not an error: somebody asked the process to end
@@ -63,21 +65,23 @@ class Server:
     """Sockets and clock of one autopilot."""
 
     def __init__(self, options: Options) -> None:
-        """Raises PortError and ParameterError."""
-        p = Parameters()
-        for assignment in options.parameters:
-            p.assign(assignment)
+        """Raises PortError."""
+        p = options.parameters
         with told_if_slow():
             compile_now(gains(p), rotorcraft(p))
         self._options = options
         self._was_controlled = False
+        self._over_ms: int | None = None
+        """Since when there is nothing left to fly."""
         self._open: list[Link | ControlSocket] = []
         try:
             system = int(p["MAV_SYS_ID"])
             self._companion = self._opened(
                 Link("companion", options.companion_bind, options.companion_port, COMPANION_RATES_HZ, system)
             )
-            self._gcs = self._opened(Link("gcs", options.gcs_bind, options.gcs_port, GCS_RATES_HZ, system))
+            self._gcs = self._opened(
+                Link("gcs", options.gcs_bind, options.gcs_port, GCS_RATES_HZ, system, talks_first=False)
+            )
             self._control = ControlSocket(options.control_port or 0) if self._controllable else None
         except PortError:
             self.close()
@@ -136,8 +140,13 @@ class Server:
     def _finished(self) -> bool:
         commander = self._autopilot.vehicle.commander
         if not self._options.exit_when_landed or self._stepped or commander.armed:
+            self._over_ms = None
             return False
-        return commander.has_flown or self._was_controlled
+        if not (commander.has_flown or self._was_controlled):
+            return False
+        if self._over_ms is None:
+            self._over_ms = self._autopilot.now_ms
+        return self._autopilot.now_ms - self._over_ms >= LINGER_MS
 
     def _serve_control(self, timeout: float | None) -> None:
         """Wait for control clients, at most `timeout` s of wall clock, and answer them."""
@@ -184,7 +193,7 @@ class Server:
 
 
 def run(options: Options) -> int:
-    """Run a SITL in this process until it ends; the exit code. Bad input is told in one line on stderr."""
+    """Run a SITL in this process until it ends; the exit code. A port in use is told in one line on stderr."""
     stopping = False
 
     def stop(_signal: int, _frame: object) -> None:
@@ -203,7 +212,7 @@ def run(options: Options) -> int:
         server.run()
     except Stopped:
         return 0
-    except (PortError, ParameterError) as error:
+    except PortError as error:
         print(f"sitl: {error}", file=sys.stderr)
         return 2
     finally:

@@ -15,38 +15,14 @@ from sitl.commander import Commander
 from sitl.control import Controller
 from sitl.flight_model import FlightModel
 from sitl.frames import Payload, pack
+from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.physics import Body, heading
 
-EARTH_RADIUS_M = 6371000.0
-"""CONSTANTS_RADIUS_OF_EARTH in PX4."""
 NAN = math.nan
 MAV_STATE_UNINIT, MAV_STATE_STANDBY, MAV_STATE_ACTIVE, MAV_STATE_CRITICAL = 0, 3, 4, 5
 ACCELEROMETER_NOISE, GYRO_NOISE, GPS_NOISE_M = 0.03, 0.002, 0.1
 """Standard deviations [m/s2, rad/s, m] of what HIGHRES_IMU and GPS_RAW_INT show; control flies on the true state."""
-
-
-@dataclass(frozen=True)
-class Origin:
-    """What the local origin is on the globe [deg, deg, m above mean sea level]."""
-
-    latitude: float
-    longitude: float
-    altitude: float
-
-    def globe(self, north: float, east: float) -> tuple[float, float]:
-        """Latitude and longitude [deg] of a local point."""
-        latitude = self.latitude + math.degrees(north / EARTH_RADIUS_M)
-        around = EARTH_RADIUS_M * math.cos(math.radians(self.latitude))
-        return latitude, self.longitude + math.degrees(east / around)
-
-    def local(self, latitude: float, longitude: float) -> tuple[float, float]:
-        """North and east [m] of a point on the globe."""
-        around = EARTH_RADIUS_M * math.cos(math.radians(self.latitude))
-        return (
-            math.radians(latitude - self.latitude) * EARTH_RADIUS_M,
-            math.radians(longitude - self.longitude) * around,
-        )
 
 
 @dataclass(frozen=True)

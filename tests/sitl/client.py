@@ -1,45 +1,50 @@
-"""A lockstep client over the real sockets: sends MAVLink, advances the vehicle, collects what it says."""
+"""MAVLink clients over real UDP that own the vehicle's clock.
+
+`Lockstep` flies a SITL process by its control socket; `Direct` flies an autopilot in this process, without the wait
+for a process to start.
+"""
 
 import math
 import socket
-import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from pymavlink.dialects.v20 import development as mavlink
+
+from sitl.autopilot import Autopilot
+from sitl.link import Link
+from sitl.origin import Origin
+from sitl.parameters import Parameters
+from sitl.px4 import COMPANION_RATES_HZ, GCS_RATES_HZ
+from tests.sitl.process import SitlProcess, free_udp_port
 
 NAN = math.nan
 VELOCITY = 2503
 """Type mask: velocity and yaw."""
 
 
-class Lockstep:
-    """Owns the clock of a SITL and speaks on one of its links."""
+class Client:
+    """Sends MAVLink, advances the vehicle, collects what it says."""
 
-    def __init__(self, sitl, link: str = "companion", system: int = 240, component: int = 191) -> None:
+    def __init__(self, port: int, to: int, system: int = 240, component: int = 191) -> None:
         self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
-        self.udp.bind(("127.0.0.1", sitl.companion if link == "companion" else sitl.gcs))
+        self.udp.bind(("127.0.0.1", port))
         self.udp.setblocking(False)
-        self.to = ("127.0.0.1", sitl.companion_bind if link == "companion" else sitl.gcs_bind)
+        self.to = ("127.0.0.1", to)
         self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
-        self.tcp = socket.create_connection(("127.0.0.1", sitl.control))
-        self.replies = self.tcp.makefile("r")
-        self.time_ms = int(self.ask("hello").split()[2])
+        self.time_ms = 0
         self.messages: list = []
         self.times: list[int] = []
         self.raw: list[bytes] = []
         self.latest: dict = {}
 
     def close(self) -> None:
-        self.replies.close()
-        self.tcp.close()
         self.udp.close()
 
-    def ask(self, line: str) -> str:
-        """One control request and its answer."""
-        self.tcp.sendall(line.encode() + b"\n")
-        return self.replies.readline().strip()
+    def step(self, ms: int) -> int:
+        """Move the vehicle on; the number of frames it says it sent."""
+        raise NotImplementedError
 
     def send(self, message) -> None:
         self.mav.seq = (self.mav.seq + 1) & 0xFF
@@ -47,11 +52,9 @@ class Lockstep:
 
     def advance(self, ms: int = 50) -> int:
         """Move the vehicle on and read what it sent; the number of frames it says it sent."""
-        word, time_ms, frames = self.ask(f"advance {ms}").split()
-        assert word == "advanced"
-        self.time_ms = int(time_ms)
+        frames = self.step(ms)
         self.receive()
-        return int(frames)
+        return frames
 
     def receive(self) -> None:
         while True:
@@ -153,14 +156,78 @@ class Lockstep:
         self.setpoint(*velocity)
 
 
-def as_float(value: int) -> float:
-    """PX4's bytewise int32 in a float."""
-    return struct.unpack("<f", struct.pack("<i", value))[0]
+class Lockstep(Client):
+    """Flies a SITL process by its control socket."""
+
+    def __init__(self, sitl: SitlProcess) -> None:
+        super().__init__(sitl.companion, sitl.companion_bind)
+        self.tcp = socket.create_connection(("127.0.0.1", sitl.control))
+        self.replies = self.tcp.makefile("r")
+        self.time_ms = int(self.ask("hello").split()[2])
+
+    def close(self) -> None:
+        super().close()
+        self.replies.close()
+        self.tcp.close()
+
+    def ask(self, line: str) -> str:
+        """One control request and its answer."""
+        self.tcp.sendall(line.encode() + b"\n")
+        return self.replies.readline().strip()
+
+    def step(self, ms: int) -> int:
+        word, time_ms, frames = self.ask(f"advance {ms}").split()
+        assert word == "advanced"
+        self.time_ms = int(time_ms)
+        return int(frames)
+
+
+SLOW_RATES_HZ = {name: min(rate, 10.0) for name, rate in COMPANION_RATES_HZ.items() if name != "HIGHRES_IMU"}
+"""Enough to watch a flight by; tests of the rates themselves take PX4's."""
+
+
+class Direct(Client):
+    """Flies an autopilot in this process, over its real UDP links."""
+
+    def __init__(self, rates_hz: dict[str, float] = SLOW_RATES_HZ, seed: int = 0, **parameters: float) -> None:
+        p = Parameters()
+        for name, value in parameters.items():
+            p.set(name, value)
+        port = free_udp_port()
+        self.link = Link("companion", 0, port, rates_hz, 1)
+        self.gcs = Link("gcs", 0, free_udp_port(), GCS_RATES_HZ, 1, talks_first=False)
+        self.autopilot = Autopilot(p, Origin(), (self.link, self.gcs), seed, 0)
+        super().__init__(port, self.link.port)
+
+    def close(self) -> None:
+        super().close()
+        self.link.close()
+        self.gcs.close()
+
+    def step(self, ms: int) -> int:
+        before = self.link.sent
+        self.autopilot.receive()
+        self.autopilot.advance(ms)
+        self.time_ms = self.autopilot.now_ms
+        return self.link.sent - before
+
+    @property
+    def commander(self):
+        return self.autopilot.vehicle.commander
 
 
 @contextmanager
-def lockstep(sitl, **options) -> Iterator[Lockstep]:
-    client = Lockstep(sitl, **options)
+def lockstep(sitl: SitlProcess) -> Iterator[Lockstep]:
+    client = Lockstep(sitl)
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+@contextmanager
+def direct(rates_hz: dict[str, float] = SLOW_RATES_HZ, seed: int = 0, **parameters: float) -> Iterator[Direct]:
+    client = Direct(rates_hz, seed, **parameters)
     try:
         yield client
     finally:
