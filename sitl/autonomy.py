@@ -1,7 +1,8 @@
 """The modes that fly by themselves: takeoff, hold, return, land, and the blind descent of a failsafe.
 
-Each turns the state into a setpoint, tick by tick. `landing` tells the landed-state machine that the
-mode is on its way to the ground."""
+Each turns the state into a setpoint, tick by tick. `landing` tells the landed-state machine that the mode
+is on its way to the ground.
+"""
 
 import math
 from collections.abc import Callable
@@ -144,12 +145,13 @@ class Land:
 
 
 class Return:
-    """AUTO.RTL: climb, fly home, come down to RTL_DESCEND_ALT, wait RTL_LAND_DELAY, land."""
+    """AUTO.RTL: climb, fly home nose first, come down to RTL_DESCEND_ALT, wait RTL_LAND_DELAY, land as at arming."""
 
-    def __init__(self, body: Body, p: Parameters, home: Vec3, home_altitude: float, say: Say) -> None:
+    def __init__(self, body: Body, p: Parameters, home: Vec3, home_yaw: float, home_altitude: float, say: Say) -> None:
         self._p = p
         self._say = say
         self._home = home
+        self._home_yaw = home_yaw
         self._limits = limits(p)
         self._reference = Reference(vector(body.position), vector(body.velocity))
         here = stopping_point(self._reference, self._limits)
@@ -209,9 +211,11 @@ class Return:
             return self._land.step(body, dt)
         position = vector(body.position)
         self._reference = approach(self._reference, self._target(), position, self._limits, dt)
-        north, east = self._home[0] - position[0], self._home[1] - position[1]
-        if self._phase == "cruise" and math.hypot(north, east) > self._p["NAV_ACC_RAD"]:
-            self._yaw = turned(self._yaw, math.atan2(east, north), math.radians(self._p["MPC_YAWRAUTO_MAX"]) * dt)
+        if self._phase != "climb":
+            north, east = self._home[0] - position[0], self._home[1] - position[1]
+            far = self._phase == "cruise" and math.hypot(north, east) > self._p["NAV_ACC_RAD"]
+            goal = math.atan2(east, north) if far else self._home_yaw
+            self._yaw = turned(self._yaw, goal, math.radians(self._p["MPC_YAWRAUTO_MAX"]) * dt)
         return tracking(self._reference, self._yaw)
 
 

@@ -13,7 +13,7 @@ from sitl.control import Setpoint
 from sitl.flight_model import NOTHING, FlightModel
 from sitl.offboard import OffboardStream, Target
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY
+from sitl.physics import GRAVITY, heading
 from sitl.px4 import ARMABLE_MS, DISARM_PREFLIGHT_EXTRA_S, HOME_MS, Mode
 
 CRITICAL, WARNING, INFO = 2, 4, 6
@@ -72,6 +72,7 @@ class Commander:
         """What is wrong: `offboard`, `battery`, or nothing."""
         self.home: tuple[float, float, float] | None = None
         """NED from the local origin [m]."""
+        self._home_yaw = 0.0
         self._autonomous: Autonomous = Loiter(self._body, p)
         self._mode_after_disarm = Mode.LOITER
         self._takeoff_altitude = math.nan
@@ -97,6 +98,7 @@ class Commander:
         self._armed_ms = self.now_ms
         self._flown_since_arming = False
         self.home = vector(self._body.position)
+        self._home_yaw = heading(self._body.attitude)
         self.say("Armed by external command")
         self._enter(self.mode)
         return Result.ACCEPTED
@@ -221,7 +223,7 @@ class Commander:
         elif mode is Mode.LAND:
             self._autonomous = Land(body, p, home[2])
         elif mode is Mode.RTL and self.armed:
-            self._autonomous = Return(body, p, home, self._origin_altitude - home[2], self.say)
+            self._autonomous = Return(body, p, home, self._home_yaw, self._origin_altitude - home[2], self.say)
         elif mode is Mode.POSCTL:
             self._autonomous = Descend(body, p)
         else:

@@ -92,7 +92,7 @@ class Link:
         self.streams = {name: Stream(1000.0 / rate, now_ms) for name, rate in self.default_rates_hz.items()}
 
     def set_interval(self, name: str, interval_us: float, now_ms: int) -> None:
-        """SET_MESSAGE_INTERVAL: -1 stops, 0 restores the usual rate, else microseconds (at most 100 per second)."""
+        """SET_MESSAGE_INTERVAL: -1 stops, 0 restores the usual rate, else microseconds (10 ms to half an hour)."""
         if interval_us < 0:
             self.streams.pop(name, None)
             return
@@ -102,7 +102,7 @@ class Link:
                 self.streams.pop(name, None)
                 return
             interval_us = 1e6 / usual
-        self.streams[name] = Stream(max(interval_us / 1000.0, 10.0), now_ms)
+        self.streams[name] = Stream(min(max(interval_us / 1000.0, 10.0), 1.8e6), now_ms)
 
     def interval_us(self, name: str) -> int:
         """MESSAGE_INTERVAL.interval_us: -1 when not sent."""

@@ -69,6 +69,16 @@ def compass(yaw: float) -> float:
     return math.degrees(yaw) % 360.0
 
 
+def int16(value: float) -> int:
+    """Rounded, and held inside the field: what is beyond it must not stop the vehicle."""
+    return round(min(max(value, -32768.0), 32767.0))
+
+
+def millivolts(volts: float) -> int:
+    """For an uint16 field, whose last value means unknown."""
+    return min(round(volts * 1000.0), 65534)
+
+
 def located(v: Vehicle) -> bool:
     """Whether the estimator has a position."""
     return v.now_ms >= px4.POSITION_MS
@@ -115,8 +125,8 @@ def sys_status(v: Vehicle) -> Payload:
         onboard_control_sensors_enabled=px4.SENSORS_ENABLED[ready],
         onboard_control_sensors_health=health,
         load=100,
-        voltage_battery=round(volts * 1000.0),
-        current_battery=min(round(battery.power_w / volts * 100.0), 32767),
+        voltage_battery=millivolts(volts),
+        current_battery=int16(battery.power_w / volts * 100.0),
         battery_remaining=math.ceil(battery.remaining(p) * 100.0),
         drop_rate_comm=0,
         errors_comm=0,
@@ -139,8 +149,8 @@ def battery_status(v: Vehicle) -> Payload:
         battery_function=1,
         type=1,
         temperature=32767,
-        voltages=[round(volts * 1000.0)] + [65535] * 9,
-        current_battery=min(round(battery.power_w / volts * 100.0), 32767),
+        voltages=[millivolts(volts)] + [65535] * 9,
+        current_battery=int16(battery.power_w / volts * 100.0),
         current_consumed=round((1.0 - battery.remaining(p)) * p["BAT1_CAPACITY"]),
         energy_consumed=round(battery.used_j / 100.0),
         battery_remaining=math.ceil(battery.remaining(p) * 100.0),
@@ -211,9 +221,9 @@ def global_position_int(v: Vehicle) -> Payload | None:
         lon=round(longitude * 1e7),
         alt=round((v.origin.altitude - z) * 1000.0),
         relative_alt=round((home_down - z) * 1000.0),
-        vx=round(vx * 100.0),
-        vy=round(vy * 100.0),
-        vz=round(vz * 100.0),
+        vx=int16(vx * 100.0),
+        vy=int16(vy * 100.0),
+        vz=int16(vz * 100.0),
         hdg=int(compass(heading(v.body.attitude)) * 100.0),
     )
 
@@ -292,7 +302,7 @@ def gps_raw_int(v: Vehicle) -> Payload:
         alt=round((v.origin.altitude - z) * 1000.0),
         eph=70,
         epv=110,
-        vel=round(math.hypot(vx, vy) * 100.0),
+        vel=int16(math.hypot(vx, vy) * 100.0),
         cog=int(compass(math.atan2(vy, vx)) * 100.0),
         satellites_visible=10,
         alt_ellipsoid=round((v.origin.altitude - z) * 1000.0),
@@ -321,7 +331,7 @@ def highres_imu(v: Vehicle) -> Payload:
         xmag=0.21 * math.cos(yaw),
         ymag=-0.21 * math.sin(yaw),
         zmag=0.43,
-        abs_pressure=1013.25 * (1.0 - 2.25577e-5 * amsl) ** 5.25588,
+        abs_pressure=1013.25 * max(1.0 - 2.25577e-5 * amsl, 0.0) ** 5.25588,
         diff_pressure=0.0,
         pressure_alt=amsl,
         temperature=15.0 - 0.0065 * amsl,

@@ -15,7 +15,7 @@ from sitl.telemetry import MESSAGES, Vehicle
 
 FORCE = 21196.0
 """COMPONENT_ARM_DISARM.param2 that overrides the checks."""
-MESSAGE_INTERVAL_ID = 244
+HOME_ALTITUDE_MAX_M = 20_000.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def set_home(v: Vehicle, _: Link, command: Command) -> Result:
     if command.p[0] == 1.0:
         v.commander.set_home(v.position())
         return Result.ACCEPTED
-    if not all(map(math.isfinite, (command.x, command.y, command.z))):
+    if not (abs(command.x) <= 90.0 and abs(command.y) <= 180.0 and abs(command.z) <= HOME_ALTITUDE_MAX_M):
         return Result.DENIED
     north, east = v.origin.local(command.x, command.y)
     v.commander.set_home((north, east, v.origin.altitude - command.z))

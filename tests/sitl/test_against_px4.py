@@ -76,3 +76,12 @@ def test_climb_of_3_rises_as_recorded(flight):
     assert rise_s(times, -simulated[:, 2], start, 1.5) == pytest.approx(
         rise_s(times, -recorded[:, 2], start, 1.5), abs=0.25
     )
+
+
+def test_return_takes_as_long_as_recorded(hovering):
+    """From (101, 38, -9.8) m the recorded PX4 needed 35.3 s of AUTO.RTL to reach home and start down; within 10 %."""
+    hovering.commander.set_home((-101.2, -38.0, 0.2))
+    assert hovering.command(20) == 0
+    took = hovering.until(lambda: "RTL: land at destination" in hovering.texts(), 60)
+    assert took == pytest.approx(35.3, rel=0.1)
+    assert hovering.latest["EXTENDED_SYS_STATE"].landed_state in (2, 4)

@@ -260,6 +260,7 @@ def test_return_climbs_comes_home_lands_and_disarms(hovering):
     hovering.until(lambda: not hovering.armed, 120, watch)
     assert highest == pytest.approx(30, abs=1.0)
     assert math.hypot(*hovering.position[:2]) < 0.5
+    assert hovering.latest["ATTITUDE"].yaw == pytest.approx(0.0, abs=0.05)  # as at arming
     assert "RTL: start return at 519 m (30 m above destination)" in hovering.texts()
     assert "RTL: land at destination" in hovering.texts()
 
