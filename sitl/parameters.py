@@ -69,7 +69,7 @@ _TABLE = (
     _real("COM_OF_LOSS_T", 1.0, 0.1, 60.0),
     _real("COM_SPOOLUP_TIME", 1.0, 0.0, 30.0),
     _real("LNDMC_TRIG_TIME", 1.0, 0.1, 10.0),
-    _int("MAV_COMP_ID", 1, 1, 250),
+    _int("MAV_COMP_ID", 1, 1, 1, among=(1,)),
     _int("MAV_SYS_ID", 1, 1, 250),
     _int("MAV_TYPE", 2, 0, 22),
     _real("MC_PITCHRATE_D", 0.003, 0.0, 0.05),
