@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from agent.decoding import PhysicalAction, decode
+from agent.inertia import reachable
 from agent.observation import Normalisation, observe
 from rf_model.channels import Channels, draw_channels
 from rf_model.mobility import Users, initial_users, move_users
@@ -21,6 +22,8 @@ class World:
 
     position_enu: Tensor
     """Vehicle [B, 3] m."""
+    velocity_enu: Tensor
+    """[B, 3] m/s; always zero without inertia."""
     users: Users
     channels: Channels
 
@@ -48,15 +51,18 @@ class Environment:
     `timing: pre`: the reward of a slot takes the rates of the channels observed at its opening and the power of the
     displacement made in it; the vehicle is at the new place when the next slot opens. It moves as commanded, except
     that it stops at the box, and then pays for what it moved: edge-on flight costs less than hovering, so a vehicle
-    that paid for the command could save power by pushing against the wall. What autopilot and envelope make of a
-    displacement is seen in flight only.
+    that paid for the command could save power by pushing against the wall.
+
+    `acceleration_mps2` gives the vehicle inertia: its velocity changes at most this fast and it makes what it can of a
+    displacement, as the bridge's slot profile does in flight. Without, it moves as by teleport, as in the paper.
 
     The same seed and batch size give the same episodes, bit for bit.
     """
 
-    def __init__(self, scenario: Scenario, batch: int, seed: int) -> None:
+    def __init__(self, scenario: Scenario, batch: int, seed: int, acceleration_mps2: float | None = None) -> None:
         self.scenario = scenario
         self.batch = batch
+        self.acceleration_mps2 = acceleration_mps2
         self.generator = torch.Generator().manual_seed(seed)
         self.normalisation = Normalisation.of(scenario)
         self.slot = 0
@@ -71,7 +77,7 @@ class Environment:
         """Begin an episode in every world; returns the observations [B, S]."""
         self.slot = 0
         users = initial_users(self.scenario, (self.batch,), self.generator)
-        return self._open(self._start, users)
+        return self._open(self._start, torch.zeros(self.batch, 3), users)
 
     def step(self, raw: Tensor) -> Step:
         """Live through a slot with raw actions [B, 3 + 3N + 2MJ].
@@ -84,11 +90,13 @@ class Environment:
         action = decode(raw, scenario)
         trc = Trc(action.theta_reflection, action.split_angle, action.sign)
         rates = slot_rates(scenario, world.channels, trc, action.beamforming)
-        position = torch.clamp(world.position_enu + action.displacement_enu, self._low, self._high)
+        made, velocity = self._move(world.velocity_enu, action.displacement_enu)
+        position = torch.clamp(world.position_enu + made, self._low, self._high)
+        velocity = torch.where(position == world.position_enu + made, velocity, 0.0)
         power = slot_power(scenario, (position - world.position_enu) / scenario.slot_s, self._yaw)
 
         self.slot += 1
-        observation = self._open(position, move_users(scenario, world.users, self.generator))
+        observation = self._open(position, velocity, move_users(scenario, world.users, self.generator))
         return Step(
             observation=observation,
             reward=reward(scenario, rates.fair_rate_bps, power),
@@ -98,8 +106,13 @@ class Environment:
             truncated=self.slot == scenario.slots,
         )
 
-    def _open(self, position_enu: Tensor, users: Users) -> Tensor:
+    def _move(self, velocity_enu: Tensor, displacement_enu: Tensor) -> tuple[Tensor, Tensor]:
+        if self.acceleration_mps2 is None:
+            return displacement_enu, velocity_enu
+        return reachable(velocity_enu, displacement_enu, self.acceleration_mps2, self.scenario)
+
+    def _open(self, position_enu: Tensor, velocity_enu: Tensor, users: Users) -> Tensor:
         """Open a slot: draw its channels and observe them."""
         channels = draw_channels(self.scenario, position_enu, self._yaw, users.position_enu, self.generator)
-        self.world = World(position_enu, users, channels)
+        self.world = World(position_enu, velocity_enu, users, channels)
         return observe(position_enu, channels, self.normalisation)

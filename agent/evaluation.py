@@ -35,9 +35,11 @@ class Evaluation:
         return {"mean": self.mean, "half_width_95": self.half_width, "episodes": len(self.rewards)}
 
 
-def evaluate(policy: Policy, scenario: Scenario, episodes: int, seed: int) -> Evaluation:
+def evaluate(
+    policy: Policy, scenario: Scenario, episodes: int, seed: int, acceleration_mps2: float | None = None
+) -> Evaluation:
     """Fly `episodes` whole episodes side by side, in the worlds that `seed` gives, without exploration."""
-    environment = Environment(scenario, batch=episodes, seed=seed)
+    environment = Environment(scenario, episodes, seed, acceleration_mps2)
     observation = environment.reset()
     total = observation.new_zeros(episodes)
     for slot in range(scenario.slots):
@@ -47,9 +49,11 @@ def evaluate(policy: Policy, scenario: Scenario, episodes: int, seed: int) -> Ev
     return Evaluation(total)
 
 
-def baselines(scenario: Scenario, episodes: int, seed: int) -> dict[str, Evaluation]:
+def baselines(
+    scenario: Scenario, episodes: int, seed: int, acceleration_mps2: float | None = None
+) -> dict[str, Evaluation]:
     """What no learning gives in the same worlds."""
     return {
-        policy.name: evaluate(policy, scenario, episodes, seed)
+        policy.name: evaluate(policy, scenario, episodes, seed, acceleration_mps2)
         for policy in (RandomPolicy(scenario, seed), HoverPolicy(scenario))
     }

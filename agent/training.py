@@ -65,7 +65,7 @@ class Learner:
         """Best evaluation so far; its policy is the one kept."""
         size = sizes(scenario)
         self.agent = DualActorDdpg(size, config)
-        self.environment = Environment(scenario, batch=config.environments, seed=config.seed)
+        self.environment = Environment(scenario, config.environments, config.seed, config.acceleration_mps2)
         self.replay = ReplayBuffer(config.replay_capacity, size.state, size.action)
         self.generator = torch.Generator().manual_seed(config.seed)
         """Exploration and replay draws."""
@@ -102,7 +102,9 @@ class Learner:
         self.episodes += config.environments
         evaluated = None
         if self.finished or self.episodes // config.evaluate_every > before // config.evaluate_every:
-            evaluated = evaluate(self, self.scenario, config.evaluation_episodes, config.evaluation_seed)
+            evaluated = evaluate(
+                self, self.scenario, config.evaluation_episodes, config.evaluation_seed, config.acceleration_mps2
+            )
         return Progress(
             episodes=self.episodes,
             of=config.episodes,
@@ -233,9 +235,9 @@ def save_policy(
 
 def judge(policy_file: Path, scenario: Scenario, config: TrainingConfig) -> Result:
     """Evaluate a policy file beside the baselines on seeds of its own, and note the outcome in the file."""
-    seed, episodes = config.evaluation_seed + 1, config.evaluation_episodes
-    trained = evaluate(TrainedPolicy(policy_file, scenario), scenario, episodes, seed)
-    others = baselines(scenario, episodes, seed)
+    seed, episodes, acceleration = config.evaluation_seed + 1, config.evaluation_episodes, config.acceleration_mps2
+    trained = evaluate(TrainedPolicy(policy_file, scenario), scenario, episodes, seed, acceleration)
+    others = baselines(scenario, episodes, seed, acceleration)
     kept = checkpoint.load(policy_file)
     outcome = {name: one.summary() for name, one in {"trained": trained, **others}.items()}
     metadata = kept.metadata.model_copy(update={"training": kept.metadata.training | {"seed": seed, **outcome}})

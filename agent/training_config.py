@@ -19,6 +19,8 @@ class TrainingConfig(BaseModel):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     environments: Annotated[int, Field(ge=2)] = 64
     """Environments stepped side by side; all start and end their episodes together."""
+    acceleration_mps2: Positive | None = None
+    """Inertia of the vehicle (the bridge plans with 3); none: it moves as by teleport, as in the paper."""
     episodes: Count = 24_000
     """Episodes in all, over all environments."""
     updates_per_step: Count = 8
