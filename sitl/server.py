@@ -22,7 +22,8 @@ BEHIND_MAX_S = 0.1
 """A paced vehicle that is further behind the wall clock lets the wall clock go, rather than rush."""
 LOCKSTEP_EPOCH_US = 1_767_225_600_000_000
 """SYSTEM_TIME at boot in lockstep, 2026-01-01: the same inputs give the same bytes."""
-COMPILE_NOTICE_S = 1.0
+COMPILE_NOTICE_S = 3.0
+"""Loading the compiled code from the disk takes well under this."""
 LINGER_MS = 3000
 """Vehicle time after the last disarming before the process ends, so that its clients hear of it."""
 
@@ -67,8 +68,6 @@ class Server:
     def __init__(self, options: Options) -> None:
         """Raises PortError."""
         p = options.parameters
-        with told_if_slow():
-            compile_now(gains(p), rotorcraft(p))
         self._options = options
         self._was_controlled = False
         self._over_ms: int | None = None
@@ -88,6 +87,8 @@ class Server:
             raise
         if self._control is not None:
             self._open.append(self._control)
+        with told_if_slow():
+            compile_now(gains(p), rotorcraft(p))
         epoch_us = LOCKSTEP_EPOCH_US if options.lockstep else time.time_ns() // 1000
         self._autopilot = Autopilot(p, options.origin, (self._companion, self._gcs), options.seed, epoch_us)
         self._selector = selectors.DefaultSelector()
