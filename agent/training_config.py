@@ -17,11 +17,11 @@ class TrainingConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    environments: Annotated[int, Field(ge=2)] = 64
+    environments: Annotated[int, Field(ge=2)] = 32
     """Environments stepped side by side; all start and end their episodes together."""
     acceleration_mps2: Positive | None = None
     """Inertia of the vehicle (the bridge plans with 3); none: it moves as by teleport, as in the paper."""
-    episodes: Count = 24_000
+    episodes: Count = 12_800
     """Episodes in all, over all environments."""
     updates_per_step: Count = 8
     """Gradient updates per step of all environments."""
@@ -34,7 +34,7 @@ class TrainingConfig(BaseModel):
     """Widths of the dense layers of the actors and of the critic's state branch: the paper has 256 to 512 by N."""
     actor_lr: Positive = 1e-4
     critic_lr: Positive = 1e-3
-    discount: Annotated[float, Field(ge=0, le=1)] = 0.95
+    discount: Annotated[float, Field(ge=0, le=1)] = 0.9
     """zeta of paper eq. 24."""
     soft_update: Fraction = 0.005
     """tau: w' <- (1 - tau) w' + tau w (Alg. 1, whose printed line would change nothing)."""
@@ -66,12 +66,12 @@ class TrainingConfig(BaseModel):
     cloning: NonNegative = 1.0
     """Offline: weight of the cloning loss in those, relative to |Q|."""
 
-    evaluate_every: Count = 1500
-    """Episodes between evaluations."""
-    evaluation_episodes: Count = 128
+    evaluate_every: Count = 128
+    """Episodes between evaluations; they cost little, and the policy swings from one to the next."""
+    evaluation_episodes: Annotated[int, Field(ge=2)] = 256
     evaluation_seed: Annotated[int, Field(ge=0, lt=2**63)] = 1_000_003
     """The same worlds at every evaluation, never those of training."""
-    save_every: Count = 6000
+    save_every: Count = 1280
     """Episodes between saves of the state that `--resume` takes up."""
 
     @model_validator(mode="after")

@@ -92,7 +92,7 @@ def test_what_cannot_be_resumed_or_started_is_said_in_one_line(tmp_path):
     train(TINY, QUICK, tmp_path / "run")
     with pytest.raises(TrainingError, match="holds a training run already"):
         train(TINY, QUICK, tmp_path / "run")
-    with pytest.raises(TrainingError, match=r"trained with config discount = 0.95, not 0.5"):
+    with pytest.raises(TrainingError, match=r"trained with config discount = 0.9, not 0.5"):
         train(TINY, QUICK.model_copy(update={"discount": 0.5}), tmp_path / "run", resume=True)
     with pytest.raises(TrainingError, match="trained with scenario users = 2, not 3"):
         train(TINY.model_copy(update={"users": 3}), QUICK, tmp_path / "run", resume=True)
