@@ -21,6 +21,8 @@ from autopilot_bridge.link import Link
 from autopilot_bridge.vehicle import Mode
 from bus import topics
 
+PATIENT = ("--param", "COM_OF_LOSS_T=10")
+"""So that a busy machine's stalls, many times as long at speed, do not pass for a lost stream."""
 AUTO_LOITER, AUTO_RTL, AUTO_LAND = (1, 4, 3), (1, 4, 5), (1, 4, 6)
 
 
@@ -353,7 +355,7 @@ def test_a_mission_that_goes_before_the_start_ends_it(sitl, fly, bridge_config):
 
 def test_paced(sitl, fly, bridge_config):
     moves = [(1.0, 0.0, 0.0), (1.0, 0.0, 0.0), None, (-1.0, 0.0, 0.0), (0.0, 0.5, 0.0)]
-    config = bridge_config(sitl("--speed", "8"), clock={"kind": "paced", "speed": 8.0}, slots=5)
+    config = bridge_config(sitl("--speed", "8", *PATIENT), clock={"kind": "paced", "speed": 8.0}, slots=5)
     flight = fly(config, lambda opened: moves[opened.slot])
     assert flight.wait() == 0
     assert np.diff([o.time_s for o in flight.slots]) == pytest.approx(np.ones(5))
@@ -371,7 +373,9 @@ def test_late_actions_are_told_apart_from_missing_ones(sitl, fly, bridge_config,
             flight.until(lambda: flight.states[-1].time_s > opened.time_s + 0.4, "half a slot")
         return (0.5, 0.0, 0.0)
 
-    config = bridge_config(sitl("--speed", "10"), clock={"kind": "paced", "speed": 10.0}, slots=3, autostart=False)
+    config = bridge_config(
+        sitl("--speed", "10", *PATIENT), clock={"kind": "paced", "speed": 10.0}, slots=3, autostart=False
+    )
     flight = fly(config, late)
     flight.until_phase("ready")
     flight.command("start")
@@ -382,7 +386,7 @@ def test_late_actions_are_told_apart_from_missing_ones(sitl, fly, bridge_config,
 
 def test_a_dead_link_is_left_to_the_autopilot(sitl, fly, bridge_config, monkeypatch):
     monkeypatch.setattr(flight_module, "LINK_BACK_WALL_S", 0.5)
-    autopilot = sitl("--speed", "10")
+    autopilot = sitl("--speed", "10", *PATIENT)
     flight = fly(bridge_config(autopilot, clock={"kind": "paced", "speed": 10.0}, slots=1000))
     flight.until_slot(1)
     autopilot.process.kill()
@@ -392,7 +396,7 @@ def test_a_dead_link_is_left_to_the_autopilot(sitl, fly, bridge_config, monkeypa
 
 def test_a_frozen_autopilot_that_comes_back_is_obeyed(sitl, fly, bridge_config):
     """Frozen for longer than the silence: on waking it has lost our stream and flies its own failsafe home."""
-    autopilot = sitl("--speed", "10")
+    autopilot = sitl("--speed", "10", *PATIENT)
     flight = fly(bridge_config(autopilot, clock={"kind": "paced", "speed": 10.0}, slots=1000))
     flight.until_slot(1)
     autopilot.process.send_signal(signal.SIGSTOP)
