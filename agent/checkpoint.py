@@ -4,7 +4,6 @@ Nothing here needs torch, so that a mission file's checkpoint can be judged befo
 """
 
 import importlib.metadata
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -116,8 +115,9 @@ def _read(path: Path, *, weights: bool) -> Checkpoint:
     if text is None:
         raise CheckpointError(f"checkpoint {path}: a safetensors file, but not one of Aerial-STAR's")
     try:
-        metadata = Metadata.model_validate(json.loads(text))
-    except (ValidationError, json.JSONDecodeError) as error:
-        first = str(error).splitlines()[0]
-        raise CheckpointError(f"checkpoint {path}: its metadata is not what it should be ({first})") from error
+        metadata = Metadata.model_validate_json(text)
+    except ValidationError as error:
+        detail = error.errors()[0]
+        where = ".".join(str(part) for part in detail["loc"]) or "JSON"
+        raise CheckpointError(f"checkpoint {path}: metadata {where}: {detail['msg']}") from error
     return Checkpoint(metadata, arrays)

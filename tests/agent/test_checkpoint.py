@@ -77,7 +77,7 @@ def test_missing_foreign_and_broken_files_are_named_in_one_line(saved, tmp_path)
         (missing, "no such file"),
         (text, "not a safetensors file"),
         (foreign, "not one of Aerial-STAR's"),
-        (odd, "its metadata is not what it should be"),
+        (odd, "metadata format: Input should be 'aerialstar-daddpg-1'"),
         (cut, "not a safetensors file"),
         (tmp_path, "no such file"),
     ):
