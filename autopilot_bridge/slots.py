@@ -16,6 +16,8 @@ SAMPLE_S = 0.1
 """The track's sampling."""
 LENGTH_TOLERANCE = 1e-5
 """Relative; an action computed in float32 may be this much longer than it should."""
+REACH = "acceleration"
+"""The one reason that is no clipping: how far a multicopter gets in a slot, told by planned against commanded."""
 
 
 class Slots:
@@ -117,7 +119,7 @@ class Slots:
         )
         self._profile, self._since_s = planned.profile, self.opening_s
         self._commanded, self._reasons = wanted, list(planned.reasons)
-        self.outcome = "clipped" if planned.reasons else "flown"
+        self.outcome = "flown" if set(planned.reasons) <= {REACH} else "clipped"
 
     def hold(self, time_s: float, outcome: SlotOutcome, reason: str) -> None:
         """Begin the planned hold at `time_s`: the open slot has no action to fly."""

@@ -56,7 +56,7 @@ class FlownSlot(Message, frozen=True):
     slot: Count
     outcome: SlotOutcome
     reasons: list[str]
-    """Why the action was clipped or rejected; empty when flown as commanded."""
+    """What kept it from being flown as commanded; `acceleration` alone is no clipping, only how far a slot reaches."""
     commanded_enu: Vec3
     """Displacement asked for [m]; zero when no action was executed."""
     planned_enu: Vec3

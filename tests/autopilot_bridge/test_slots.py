@@ -62,12 +62,17 @@ def test_track_and_plan_are_sampled_at_10_hz_from_the_opening_on(slots, make_act
     assert 0 < flown.plan[5].position_enu[0] < 1
 
 
-def test_what_the_limits_take_is_told(slots, make_action):
-    slots.act(make_action(0, (10.0, 0.0, 0.0)), T0)
+@pytest.mark.parametrize(
+    ("displacement", "outcome", "reasons"),
+    [((10.0, 0.0, 0.0), "flown", ["acceleration"]), ((0.5, 0.0, 5.0), "clipped", ["climb", "acceleration"])],
+)
+def test_what_the_limits_take_is_told_but_reach_alone_is_no_clipping(
+    slots, make_action, displacement, outcome, reasons
+):
+    slots.act(make_action(0, displacement), T0)
     flown = run_slot(slots).flown
-    assert flown.outcome == "clipped"
-    assert flown.reasons == ["acceleration"]
-    assert flown.planned_enu == pytest.approx((1.5, 0.0, 0.0))
+    assert (flown.outcome, flown.reasons) == (outcome, reasons)
+    assert np.linalg.norm(flown.planned_enu) == pytest.approx(1.5)
 
 
 def test_the_next_slot_starts_where_the_profile_ended(slots, make_action):
