@@ -11,6 +11,8 @@ from torch import Tensor
 
 from airframe.displacement import clip_norm, limit_climb, spherical
 from rf_model.scenario import Scenario
+from rf_model.star_ris import Coefficients
+from rf_model.surfaces import surface_of
 
 
 class RawActionError(ValueError):
@@ -23,31 +25,48 @@ class PhysicalAction:
 
     displacement_enu: Tensor
     """[..., 3] m: at most V_max times the slot, climb limits kept."""
-    theta_reflection: Tensor
-    """[..., N] rad in [-pi, pi]."""
-    split_angle: Tensor
-    """[..., N] rad in [0, pi/2]: beta_R = sin x, beta_T = cos x."""
-    sign: Tensor
-    """[..., N] -1 or +1: theta_T = wrap(theta_R + sign pi/2)."""
+    trc: Coefficients
+    """[..., N] what the scenario's surface is set to."""
     beamforming: Tensor
     """[..., M, J] complex, sqrt(W): the squares add up to at most P_max."""
 
+    @property
+    def theta_reflection(self) -> Tensor:
+        """[..., N] rad in [-pi, pi]."""
+        return self.trc.theta_reflection
+
+    @property
+    def split_angle(self) -> Tensor:
+        """[..., N] rad in [0, pi/2]: beta_R = sin x, beta_T = cos x."""
+        return self.trc.split_angle
+
+    @property
+    def sign(self) -> Tensor:
+        """[..., N] -1 or +1: theta_T = wrap(theta_R + sign pi/2) on a coupled surface."""
+        return self.trc.sign
+
 
 def continuous_size(scenario: Scenario) -> int:
-    """3 + 2N + 2MJ: size of the continuous half (paper, below eq. 23)."""
-    return 3 + 2 * scenario.elements + 2 * scenario.antennas * scenario.users
+    """Size of the continuous half: 3 + 2N + 2MJ (paper, below eq. 23), or as many a element as the surface takes."""
+    per_element = surface_of(scenario).continuous
+    return 3 + per_element * scenario.elements + 2 * scenario.antennas * scenario.users
+
+
+def discrete_size(scenario: Scenario) -> int:
+    """Size of the discrete half: N signs, or none when the surface has none."""
+    return surface_of(scenario).signs * scenario.elements
 
 
 def action_size(scenario: Scenario) -> int:
-    """3 + 3N + 2MJ: both halves."""
-    return continuous_size(scenario) + scenario.elements
+    """Both halves: 3 + 3N + 2MJ for the coupled surface."""
+    return continuous_size(scenario) + discrete_size(scenario)
 
 
 def require_finite(raw: Tensor, scenario: Scenario) -> None:
-    """Raise RawActionError unless `raw` is [..., 3 + 3N + 2MJ] and finite."""
+    """Raise RawActionError unless `raw` is [..., action_size(scenario)] and finite."""
     size = action_size(scenario)
     if raw.shape[-1] != size:
-        raise RawActionError(f"raw action: {raw.shape[-1]} numbers, the scenario takes {size} (3 + 3N + 2MJ)")
+        raise RawActionError(f"raw action: {raw.shape[-1]} numbers, the scenario takes {size}")
     if not torch.isfinite(raw).all():
         index = int((~torch.isfinite(raw)).any(dim=tuple(range(raw.ndim - 1))).nonzero()[0])
         raise RawActionError(f"raw action: number {index} is not finite")
@@ -56,22 +75,21 @@ def require_finite(raw: Tensor, scenario: Scenario) -> None:
 def decode(raw: Tensor, scenario: Scenario) -> PhysicalAction:
     """Decode raw actions [..., 3 + 3N + 2MJ]: motion (3), theta_R (N), split (N), W (2MJ: [M, J, re/im]), signs (N).
 
+    Other surfaces than the coupled one take other numbers in place of theta_R, split and signs (`rf_model.surfaces`).
     Everything but the signs is clipped to [-1, 1] first. Limits are kept exactly even when the result is later read
     in double precision: each is approached from below by a few units of rounding. W uses all of P_max, except that
     numbers below 1e-12 count as silence. Differentiable except in the signs. Raises RawActionError.
     """
     require_finite(raw, scenario)
-    elements, antennas, users = scenario.elements, scenario.antennas, scenario.users
-    motion, theta, split, beams, discrete = torch.split(
-        raw, [3, elements, elements, 2 * antennas * users, elements], dim=-1
+    surface = surface_of(scenario)
+    N, beams = scenario.elements, 2 * scenario.antennas * scenario.users
+    motion, coefficients, weights, signs = torch.split(
+        raw, [3, surface.continuous * N, beams, surface.signs * N], dim=-1
     )
-    below = 1 - 2 * torch.finfo(raw.dtype).eps
     return PhysicalAction(
         displacement_enu=_displacement(motion.clip(-1, 1), scenario),
-        theta_reflection=theta.clip(-1, 1) * (math.pi * below),
-        split_angle=(split.clip(-1, 1) + 1) * (math.pi / 4 * below),
-        sign=torch.where(discrete > 0, 1.0, -1.0),
-        beamforming=_beamforming(beams.clip(-1, 1), scenario),
+        trc=surface.decode(coefficients, signs),
+        beamforming=_beamforming(weights.clip(-1, 1), scenario),
     )
 
 

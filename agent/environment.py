@@ -7,13 +7,17 @@ from torch import Tensor
 
 from agent.decoding import PhysicalAction, decode
 from agent.inertia import reachable
-from agent.observation import Normalisation, observe
-from rf_model.channels import Channels, draw_channels
-from rf_model.mobility import Users, initial_users, move_users
+from agent.observation import Normalisation, observe, state_size
+from rf_model.channels import Channels, Fading, draw_fading, faded_channels
+from rf_model.csi import Observed
+from rf_model.geometry import panel_frame
+from rf_model.mobility import Users, initial_users, walked_users
 from rf_model.reward import reward
 from rf_model.scenario import Scenario
-from rf_model.star_ris import Trc
-from rf_model.world import Rates, slot_power, slot_rates
+from rf_model.world import Rates, slot_power, slot_rates, steady_tilt
+
+BLOCK = 2**16
+"""Complex numbers of fading drawn at once: single worlds draw a whole episode's, large batches a slot's."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +52,17 @@ class Step:
 class Environment:
     """B worlds of one scenario, stepped together; everything random comes from one seeded generator.
 
-    `timing: pre`: the reward of a slot takes the rates of the channels observed at its opening and the power of the
-    displacement made in it; the vehicle is at the new place when the next slot opens. It moves as commanded, except
-    that it stops at the box, and then pays for what it moved: edge-on flight costs less than hovering, so a vehicle
-    that paid for the command could save power by pushing against the wall.
+    `timing: pre`: the reward of a slot takes the rates of the channels at its opening and the power of the displacement
+    made in it; the vehicle is at the new place when the next slot opens. (`post`: it takes the rates of the channels
+    there.) It moves as commanded, except that it stops at the box, and then pays for what it moved: edge-on flight
+    costs less than hovering, so a vehicle that paid for the command could save power by pushing against the wall.
 
     `acceleration_mps2` gives the vehicle inertia: its velocity changes at most this fast and it makes what it can of a
-    displacement, as the bridge's slot profile does in flight. Without, it moves as by teleport, as in the paper.
+    displacement, as the bridge's slot profile does in flight; it pays for the velocities on the way. Without, it moves
+    as by teleport, as in the paper.
+
+    With `attitude: flown` it leans as it would at the mean velocity of the slot before. What is observed of the
+    channels follows from `csi_error_variance` and `csi_delay_slots`; rates are those of the channels themselves.
 
     The same seed and batch size give the same episodes, bit for bit.
     """
@@ -72,12 +80,19 @@ class Environment:
         self._low, self._high = low, high
         self._start = torch.tensor(scenario.start_enu).expand(batch, 3)
         self._yaw = torch.full((batch,), scenario.panel_heading_rad)
+        self._level = panel_frame(self._yaw)
+        self._observed = Observed(scenario)
+        coefficients = batch * (state_size(scenario) - 3) // 2
+        self._block = max(1, min(scenario.slots + 1, BLOCK // coefficients))
 
     def reset(self) -> Tensor:
         """Begin an episode in every world; returns the observations [B, S]."""
         self.slot = 0
+        self._observed.forget()
         users = initial_users(self.scenario, (self.batch,), self.generator)
-        return self._open(self._start, torch.zeros(self.batch, 3), users)
+        self._draw()
+        still = torch.zeros(self.batch, 3)
+        return self._open(self._start, still, users, still)
 
     def step(self, raw: Tensor) -> Step:
         """Live through a slot with raw actions [B, 3 + 3N + 2MJ].
@@ -88,15 +103,21 @@ class Environment:
             raise RuntimeError("the episode is over or has not begun: reset first")
         world, scenario = self.world, self.scenario
         action = decode(raw, scenario)
-        trc = Trc(action.theta_reflection, action.split_angle, action.sign)
-        rates = slot_rates(scenario, world.channels, trc, action.beamforming)
         made, velocity = self._move(world.velocity_enu, action.displacement_enu)
-        position = torch.clamp(world.position_enu + made, self._low, self._high)
-        velocity = torch.where(position == world.position_enu + made, velocity, 0.0)
-        power = slot_power(scenario, (position - world.position_enu) / scenario.slot_s, self._yaw)
+        free = world.position_enu + made
+        position = torch.clamp(free, self._low, self._high)
+        stopped = position != free
+        flown = (position - world.position_enu) / scenario.slot_s
+        power = self._mean_power(world.velocity_enu, velocity, flown, stopped)
+        velocity = torch.where(stopped, 0.0, velocity)
 
         self.slot += 1
-        observation = self._open(position, velocity, move_users(scenario, world.users, self.generator))
+        if self.slot % self._block == 0:
+            self._draw()
+        users = walked_users(scenario, world.users, self._walk[self.slot % self._block])
+        observation = self._open(position, velocity, users, flown)
+        channels = world.channels if scenario.timing == "pre" else self.world.channels
+        rates = slot_rates(scenario, channels, action.trc, action.beamforming)
         return Step(
             observation=observation,
             reward=reward(scenario, rates.fair_rate_bps, power),
@@ -111,8 +132,33 @@ class Environment:
             return displacement_enu, velocity_enu
         return reachable(velocity_enu, displacement_enu, self.acceleration_mps2, self.scenario)
 
-    def _open(self, position_enu: Tensor, velocity_enu: Tensor, users: Users) -> Tensor:
-        """Open a slot: draw its channels and observe them."""
-        channels = draw_channels(self.scenario, position_enu, self._yaw, users.position_enu, self.generator)
+    def _draw(self) -> None:
+        """Draw the fading and the users' headings for a block of slots, because many small draws cost most."""
+        scenario, shape = self.scenario, (self._block, self.batch)
+        self._fading: Fading = draw_fading(scenario, shape, self.generator, torch.float32)
+        self._walk = torch.randn((*shape, scenario.users), generator=self.generator)
+
+    def _mean_power(self, before_enu: Tensor, after_enu: Tensor, flown_enu: Tensor, stopped: Tensor) -> Tensor:
+        """Mean power of a slot [B] from the velocities [B, 3] at its ends and on average.
+
+        With inertia, over the ramp from one velocity to the other (Simpson's rule) and the rest of the slot.
+        """
+        if self.acceleration_mps2 is None:
+            return slot_power(self.scenario, flown_enu, self._yaw)
+        change = after_enu - before_enu
+        on_the_ramp = [before_enu + fraction * change for fraction in (0.0, 0.25, 0.5, 0.75, 1.0)]
+        *ramp_power, mean_power = slot_power(self.scenario, torch.stack([*on_the_ramp, flown_enu]), self._yaw)
+        ramp = change.norm(dim=-1) / (self.acceleration_mps2 * self.scenario.slot_s)
+        a, b, c, d, e = ramp_power
+        power = ramp * (a + 4 * b + 2 * c + 4 * d + e) / 12 + (1 - ramp) * e
+        return torch.where(stopped.any(-1), mean_power, power)
+
+    def _open(self, position_enu: Tensor, velocity_enu: Tensor, users: Users, flown_enu: Tensor) -> Tensor:
+        """Open a slot: fade its channels and observe them."""
+        frame = self._level
+        if self.scenario.attitude == "flown":
+            frame = panel_frame(self._yaw, *steady_tilt(self.scenario, flown_enu, self._yaw))
+        fading = self._fading.slot(self.slot % self._block)
+        channels = faded_channels(self.scenario, position_enu, frame, users.position_enu, fading)
         self.world = World(position_enu, velocity_enu, users, channels)
-        return observe(position_enu, channels, self.normalisation)
+        return observe(position_enu, self._observed.of(channels, self.generator), self.normalisation)

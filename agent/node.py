@@ -15,6 +15,7 @@ from agent.policy import PolicyConfig
 from bus import messages as m
 from bus import topics
 from rf_model.scenario import Scenario
+from rf_model.star_ris import IndependentTrc
 
 NODE = "agent"
 HEALTH_EVERY_S = 1.0
@@ -104,5 +105,6 @@ def _message(csi: m.ChannelState, source: str, raw: torch.Tensor, action: Physic
         split_angle=action.split_angle.tolist(),
         sign=[1 if sign > 0 else -1 for sign in action.sign.tolist()],
         beamforming=torch.view_as_real(action.beamforming).tolist(),
+        theta_transmission=(action.trc.theta_transmission.tolist() if isinstance(action.trc, IndependentTrc) else []),
         raw=raw.tolist(),
     )

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from agent import checkpoint
 from agent.daddpg import Sizes, signs
-from agent.decoding import action_size, continuous_size
+from agent.decoding import action_size, continuous_size, discrete_size
 from agent.networks import Actor
 from agent.observation import state_size
 from agent.policy import Policy, PolicyConfig
@@ -17,7 +17,7 @@ from rf_model.scenario import Scenario
 
 def sizes(scenario: Scenario) -> Sizes:
     """Sizes of state and action in `scenario`."""
-    return Sizes(state=state_size(scenario), continuous=continuous_size(scenario), discrete=scenario.elements)
+    return Sizes(state=state_size(scenario), continuous=continuous_size(scenario), discrete=discrete_size(scenario))
 
 
 def make_policy(config: PolicyConfig, scenario: Scenario, seed: int) -> Policy:

@@ -99,10 +99,10 @@ def power_terms(
     V_squared = velocity_x * velocity_x + velocity_y * velocity_y
 
     hover_blade = wing.air_density * wing.profile_drag * wing.disc_area_m2 * wing.solidity * wing.tip_speed_mps**3 / 8.0
-    blade = hover_blade * (1.0 + 3.0 * V_squared / wing.tip_speed_mps**2)
+    blade = hover_blade + (3.0 * hover_blade / wing.tip_speed_mps**2) * V_squared
 
     # sqrt(1 + a^2) - a written as a reciprocal: the difference cancels at high speed and float32 would go negative.
-    a = V_squared / (2.0 * wing.induced_velocity_mps**2)
+    a = V_squared * (0.5 / wing.induced_velocity_mps**2)
     correction = 1.0 / ((1.0 + a * a) ** 0.5 + a)
     disc_loading = 2.0 * wing.air_density * wing.disc_area_m2
     if wing.induced == "paper":
@@ -137,6 +137,28 @@ def total_power(
     """Sum of `power_terms` (eq. 19) [W]; under numba compile `power_terms` and sum its fields."""
     terms = power_terms(wing, panel, velocity_x, velocity_y, velocity_z, normal_x, normal_y)
     return terms.blade + terms.induced + terms.parasite + terms.climb + terms.panel_drag
+
+
+def drag_force(
+    wing: RotaryWing,
+    panel: Panel,
+    velocity_x: Real,
+    velocity_y: Real,
+    normal_x: Real | float,
+    normal_y: Real | float,
+) -> tuple[Real, Real]:
+    """Horizontal force [N] that holds a velocity through the air [m/s]: the powers of eq. 16c and 18 over speed.
+
+    In still air a vehicle at constant velocity leans by this force against its weight.
+    """
+    V = (velocity_x * velocity_x + velocity_y * velocity_y + 1e-12) ** 0.5  # differentiable at rest
+    fuselage = 0.5 * wing.air_density * wing.solidity * wing.disc_area_m2 * wing.fuselage_drag_ratio * V
+    plate = 0.5 * wing.air_density * panel.area_m2 * panel.drag_coefficient
+    if panel.v_perp == "speed":
+        return (fuselage + plate * V) * velocity_x, (fuselage + plate * V) * velocity_y
+    across = velocity_x * normal_x + velocity_y * normal_y
+    push = plate * abs(across) * across
+    return fuselage * velocity_x + push * normal_x, fuselage * velocity_y + push * normal_y
 
 
 def hover_power(wing: RotaryWing) -> float:

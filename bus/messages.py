@@ -120,6 +120,8 @@ class Action(Message, frozen=True):
     """W, M x J [sqrt(W)]."""
     raw: list[Finite]
     """The actors' output before decoding, for data sets; may be empty."""
+    theta_transmission: list[Finite] = []
+    """N phases in [-pi, pi] for a surface whose phases are independent; empty for every other."""
 
 
 class RisConfiguration(Message, frozen=True):

@@ -9,11 +9,13 @@ from torch import Tensor
 from rf_model import path_loss
 from rf_model.arrays import line_response, literal_response, planar_response
 from rf_model.fading import rayleigh, rician_weights
-from rf_model.geometry import beyond_panel, horizontal_distance, offset_and_distance, panel_cosines
+from rf_model.geometry import beyond_panel, horizontal_distance, offset_and_distance, panel_frame
 from rf_model.scenario import Scenario
 
 BLOCKED_DB = 20.0
 """Extra loss of a surface-to-user link whose line of sight is blocked."""
+ELEVATION_EXCESS_DB = (1.0, 20.0)
+"""Loss beyond free space with and without line of sight, urban (the source of `line_of_sight_probability`)."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Channels:
     direct: Tensor
     """h_b [..., J, M]."""
     bs_ris: Tensor
-    """H [..., N, M]; carries the surface's gain, so that the cascade has it once."""
+    """H [..., N, M]; carries the surface's gain and loss, so that the cascade has them once."""
     ris_user: Tensor
     """h_s [..., J, N]."""
     transmission: Tensor
@@ -37,15 +39,54 @@ class LinkGains:
     direct: Tensor
     """[..., J]"""
     bs_ris: Tensor
-    """[...]"""
+    """[...] with line of sight."""
+    bs_ris_blocked: Tensor
+    """[...] without."""
+    bs_ris_sight: Tensor | float
+    """Probability of line of sight [...]."""
     ris_user: Tensor
     """[..., J] with line of sight."""
     ris_user_blocked: Tensor
     """[..., J] without."""
+    ris_user_sight: Tensor | float
+    """Probability of line of sight [..., J]."""
+
+    @property
+    def bs_ris_power(self) -> Tensor:
+        """Mean power gain [...] over line of sight and none."""
+        return self.bs_ris_sight * self.bs_ris**2 + (1.0 - self.bs_ris_sight) * self.bs_ris_blocked**2
+
+    @property
+    def ris_user_power(self) -> Tensor:
+        """Mean power gain [..., J] over line of sight and none."""
+        return self.ris_user_sight * self.ris_user**2 + (1.0 - self.ris_user_sight) * self.ris_user_blocked**2
+
+
+@dataclass(frozen=True)
+class Fading:
+    """All that is random in the channels of a slot, or of a block of slots (one more dimension in front)."""
+
+    scattered: Tensor
+    """CN(0, 1) [..., JM + NM + JN]: of h_b, H and h_s."""
+    user_sight: Tensor | None
+    """Even over [0, 1) [..., J]: below its probability, a surface-to-user link is in sight; None: nothing to draw."""
+    bs_sight: Tensor | None
+    """The same for the link from base station to surface [...]."""
+
+    def slot(self, index: int) -> "Fading":
+        """One slot of a block."""
+        return Fading(
+            self.scattered[index],
+            None if self.user_sight is None else self.user_sight[index],
+            None if self.bs_sight is None else self.bs_sight[index],
+        )
 
 
 def line_of_sight_probability(elevation_sine: Tensor) -> Tensor:
-    """1 / (1 + 9.61 exp(-0.16 (el - 9.61))), el in degrees (air-to-ground, urban), from sin el [...]."""
+    """1 / (1 + 9.61 exp(-0.16 (el - 9.61))), el in degrees, from sin el [...].
+
+    Urban air-to-ground links of Al-Hourani, Kandeepan, Lardner, "Optimal LAP Altitude for Maximum Coverage", 2014.
+    """
     elevation_deg = torch.rad2deg(torch.asin(elevation_sine.clamp(-1.0, 1.0)))
     return torch.sigmoid(0.16 * (elevation_deg - 9.61) - math.log(9.61))
 
@@ -54,60 +95,103 @@ def link_gains(scenario: Scenario, position_enu: Tensor, users_enu: Tensor) -> L
     """Gains for a vehicle [..., 3] and users [..., J, 3]."""
     base_station = position_enu.new_tensor(scenario.base_station_enu)
     _, to_base_station = offset_and_distance(position_enu, base_station)
-    _, to_users = offset_and_distance(position_enu.unsqueeze(-2), users_enu)
-    return _link_gains(scenario, position_enu, users_enu, base_station, to_base_station, to_users)
+    offset, to_users = offset_and_distance(position_enu.unsqueeze(-2), users_enu)
+    elevation_sine = -offset[..., 2] / to_users
+    return _link_gains(scenario, position_enu, users_enu, base_station, to_base_station, to_users, elevation_sine)
+
+
+def draw_fading(scenario: Scenario, batch: tuple[int, ...], generator: torch.Generator, dtype: torch.dtype) -> Fading:
+    """Fading of a batch shape, on the generator's device; `dtype` is the real type.
+
+    Up to three draws, each for the whole batch: scattering, users' lines of sight, the base station's.
+    """
+    J, M, N = scenario.users, scenario.antennas, scenario.elements
+
+    def uniform(shape: tuple[int, ...]) -> Tensor:
+        return torch.rand(shape, generator=generator, dtype=dtype, device=generator.device)
+
+    return Fading(
+        scattered=rayleigh((*batch, J * M + N * M + J * N), generator, dtype),
+        user_sight=uniform((*batch, J)) if scenario.ris_user == "p_los" else None,
+        bs_sight=uniform(batch) if scenario.path_loss.bs_ris != "paper" else None,
+    )
 
 
 def draw_channels(
     scenario: Scenario, position_enu: Tensor, yaw_rad: Tensor, users_enu: Tensor, generator: torch.Generator
 ) -> Channels:
-    """Block-fading channels of one slot for vehicles [..., 3] with yaw [...] and users [..., J, 3].
+    """Block-fading channels of one slot for upright panels at [..., 3] with yaw [...] and users [..., J, 3].
 
-    The base station's link to the surface is Rician (eq. 3, 4), that to the users Rayleigh, that of the surface to the
-    users Rician with line of sight and Rayleigh without. Real dtype and device are those of `position_enu`, which the
-    generator must share. Two draws from the generator: all scattering, then all line-of-sight events.
+    Real dtype and device are those of `position_enu`, which the generator must share.
+    """
+    fading = draw_fading(scenario, tuple(position_enu.shape[:-1]), generator, position_enu.dtype)
+    return faded_channels(scenario, position_enu, panel_frame(yaw_rad), users_enu, fading)
+
+
+def faded_channels(
+    scenario: Scenario, position_enu: Tensor, frame: Tensor, users_enu: Tensor, fading: Fading
+) -> Channels:
+    """Channels for vehicles [..., 3] with panel frames [..., 3, 3] and users [..., J, 3] in a given fading.
+
+    The base station's link to the users is Rayleigh; the surface's links are Rician with line of sight (eq. 3, 4) and
+    Rayleigh without. A position that is not finite makes its own row's channels so, and no other's.
     """
     batch = position_enu.shape[:-1]
     J, M, N = scenario.users, scenario.antennas, scenario.elements
     base_station = position_enu.new_tensor(scenario.base_station_enu)
-    bs_offset, bs_distance = offset_and_distance(position_enu, base_station)
-    user_offset, user_distance = offset_and_distance(position_enu.unsqueeze(-2), users_enu)
-    bs_cosines = panel_cosines(bs_offset, bs_distance, yaw_rad)
-    user_cosines = panel_cosines(user_offset, user_distance, yaw_rad.unsqueeze(-1))
-    gains = _link_gains(scenario, position_enu, users_enu, base_station, bs_distance, user_distance)
+    ends = torch.cat((base_station.expand(*batch, 1, 3), users_enu), dim=-2)
+    offset, distance = offset_and_distance(position_enu.unsqueeze(-2), ends)
+    direction = offset / distance.unsqueeze(-1)
+    cosines = direction @ frame.mT
+    gains = _link_gains(
+        scenario, position_enu, users_enu, base_station, distance[..., 0], distance[..., 1:], -direction[..., 1:, 2]
+    )
+    responses = _panel_response(scenario, cosines)
+    # Products of complex and real tensors would first turn the real one complex: scale pairs of reals instead.
+    direct, bs_ris, ris_user = torch.split(torch.view_as_real(fading.scattered), [J * M, N * M, J * N], dim=-2)
 
-    scattered = rayleigh((*batch, J * M + N * M + J * N), generator, position_enu.dtype)
-    direct, bs_ris, ris_user = torch.split(scattered, [J * M, N * M, J * N], dim=-1)
-    los_weight, scattered_weight = rician_weights(scenario.kappa)
+    h_b = torch.unflatten(direct, -2, (J, M)) * gains.direct[..., None, None]
+    if scenario.direct == "blocked":
+        h_b = torch.zeros_like(h_b)
 
-    direct_gain = gains.direct if scenario.direct == "on" else torch.zeros_like(gains.direct)
-    h_b = direct.reshape(*batch, J, M) * direct_gain.unsqueeze(-1)
+    los, scattered = _rician(scenario, gains.bs_ris, gains.bs_ris_blocked, gains.bs_ris_sight, fading.bs_sight)
+    H = torch.unflatten(bs_ris, -2, (N, M)) * scattered[..., None, None, None]
+    if los is not None:
+        # Eq. 4 has the conjugate of eq. 5 at the angle of departure, which is eq. 5 at the opposite direction.
+        towards_surface = line_response(direction[..., 0, 1], M)
+        steered = responses[..., 0, :].unsqueeze(-1) * towards_surface.unsqueeze(-2)
+        H = torch.addcmul(H, torch.view_as_real(steered), los[..., None, None, None])
 
-    departure = line_response(-bs_offset[..., 1] / bs_distance, M)
-    arrival = _panel_response(scenario, bs_cosines)
-    los = (arrival * (gains.bs_ris * los_weight).unsqueeze(-1)).unsqueeze(-1) * departure.conj().unsqueeze(-2)
-    H = los + bs_ris.reshape(*batch, N, M) * (gains.bs_ris * scattered_weight)[..., None, None]
-
-    los_amplitude = gains.ris_user * los_weight
-    scattered_amplitude = gains.ris_user * scattered_weight
-    if scenario.ris_user == "p_los":
-        sight = torch.rand((*batch, J), generator=generator, dtype=position_enu.dtype, device=generator.device)
-        clear = sight < line_of_sight_probability(-user_cosines[2])
-        los_amplitude = los_amplitude * clear
-        scattered_amplitude = torch.where(clear, scattered_amplitude, gains.ris_user_blocked)
-    elif scenario.ris_user == "nlos":
-        los_amplitude = torch.zeros_like(los_amplitude)
-        scattered_amplitude = gains.ris_user_blocked
-    h_s = ris_user.reshape(*batch, J, N) * scattered_amplitude.unsqueeze(-1)
-    if scenario.ris_user != "nlos":
-        h_s = h_s + _panel_response(scenario, user_cosines) * los_amplitude.unsqueeze(-1)
+    los, scattered = _rician(scenario, gains.ris_user, gains.ris_user_blocked, gains.ris_user_sight, fading.user_sight)
+    h_s = torch.unflatten(ris_user, -2, (J, N)) * scattered[..., None, None]
+    if los is not None:
+        h_s = torch.addcmul(h_s, torch.view_as_real(responses[..., 1:, :]), los[..., None, None])
 
     if scenario.region == "geometric":
-        transmission = beyond_panel(user_cosines[0], bs_cosines[0])
+        transmission = beyond_panel(cosines[..., 1:, 0], cosines[..., 0, 0])
     else:
         order = torch.arange(J, device=position_enu.device)
         transmission = (order >= scenario.reflection_count).expand(*batch, J)
-    return Channels(direct=h_b, bs_ris=H, ris_user=h_s, transmission=transmission)
+    return Channels(
+        direct=torch.view_as_complex(h_b),
+        bs_ris=torch.view_as_complex(H),
+        ris_user=torch.view_as_complex(h_s),
+        transmission=transmission,
+    )
+
+
+def _rician(
+    scenario: Scenario, clear: Tensor, blocked: Tensor, sight: Tensor | float, drawn: Tensor | None
+) -> tuple[Tensor | None, Tensor]:
+    """Amplitudes of a link's line-of-sight part (None: it has none) and of its scattered part."""
+    los_weight, scattered_weight = rician_weights(scenario.kappa)
+    if isinstance(sight, Tensor):
+        assert drawn is not None
+        seen = drawn < sight
+        return clear * los_weight * seen, torch.where(seen, clear * scattered_weight, blocked)
+    if sight == 0.0:
+        return None, blocked
+    return clear * los_weight, clear * scattered_weight
 
 
 def _link_gains(
@@ -117,42 +201,60 @@ def _link_gains(
     base_station: Tensor,
     bs_distance: Tensor,
     user_distance: Tensor,
+    elevation_sine: Tensor,
 ) -> LinkGains:
-    carrier = scenario.carrier_hz
-    height = scenario.user_height_m if scenario.nlos_height == "user" else position_enu[..., 2:3]
+    carrier, models = scenario.carrier_hz, scenario.path_loss
+    nlos_height = scenario.user_height_m if scenario.nlos_height == "user" else position_enu[..., 2:3]
 
-    if scenario.path_loss.bs_user == "paper":
+    if models.bs_user == "paper":
         _, direct_distance = offset_and_distance(base_station, users_enu)
-        direct_db = path_loss.paper_nlos_db(carrier, direct_distance, height)
+        direct_db = path_loss.paper_nlos_db(carrier, direct_distance, nlos_height)
     else:
-        model = {"tr38901_umi": path_loss.tr38901_umi_nlos_db, "tr38901_uma": path_loss.tr38901_uma_nlos_db}
-        direct_db = model[scenario.path_loss.bs_user](
+        ground = {"tr38901_umi": path_loss.tr38901_umi_nlos_db, "tr38901_uma": path_loss.tr38901_uma_nlos_db}
+        direct_db = ground[models.bs_user](
             carrier, horizontal_distance(base_station, users_enu), scenario.base_station_enu[2], scenario.user_height_m
         )
     direct = path_loss.amplitude(direct_db + (scenario.direct_extra_db - scenario.bs_gain_db))
 
-    bs_ris_db = path_loss.paper_los_db(carrier, bs_distance) - (scenario.bs_gain_db + scenario.ris_gain_db)
-
-    los_db = (
-        path_loss.paper_los_db(carrier, user_distance)
-        if scenario.path_loss.ris_user == "paper"
-        else path_loss.free_space_db(carrier, user_distance)
-    )
-    if scenario.ris_user == "nlos" and scenario.path_loss.ris_user == "paper":
-        blocked_db = path_loss.paper_nlos_db(carrier, user_distance, height)
+    bs_sight: Tensor | float = 1.0
+    if models.bs_ris == "paper":
+        bs_los_db = bs_nlos_db = path_loss.paper_los_db(carrier, bs_distance)
     else:
+        aerial = path_loss.AERIAL[models.bs_ris]
+        height = position_enu[..., 2]
+        bs_los_db = aerial.los_db(carrier, bs_distance, height)
+        bs_nlos_db = aerial.nlos_db(carrier, bs_distance, height)
+        bs_sight = aerial.los_probability(horizontal_distance(base_station, position_enu), height)
+    bs_ris_gain_db = scenario.bs_gain_db + scenario.ris_gain_db - scenario.element_loss_db
+
+    if models.ris_user == "paper":
+        los_db = path_loss.paper_los_db(carrier, user_distance)
         blocked_db = los_db + BLOCKED_DB
+        if scenario.ris_user == "nlos":
+            blocked_db = path_loss.paper_nlos_db(carrier, user_distance, nlos_height)
+    else:
+        free_db = path_loss.free_space_db(carrier, user_distance)
+        los_excess, blocked_excess = ELEVATION_EXCESS_DB if models.ris_user == "elevation" else (0.0, BLOCKED_DB)
+        los_db, blocked_db = free_db + los_excess, free_db + blocked_excess
     return LinkGains(
         direct=direct,
-        bs_ris=path_loss.amplitude(bs_ris_db),
+        bs_ris=path_loss.amplitude(bs_los_db - bs_ris_gain_db),
+        bs_ris_blocked=path_loss.amplitude(bs_nlos_db - bs_ris_gain_db),
+        bs_ris_sight=bs_sight,
         ris_user=path_loss.amplitude(los_db),
         ris_user_blocked=path_loss.amplitude(blocked_db),
+        ris_user_sight=(
+            line_of_sight_probability(elevation_sine)
+            if scenario.ris_user == "p_los"
+            else float(scenario.ris_user == "los")
+        ),
     )
 
 
-def _panel_response(scenario: Scenario, cosines: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+def _panel_response(scenario: Scenario, cosines: Tensor) -> Tensor:
+    """[..., N] for direction cosines [..., 3] along the panel's normal, columns and rows."""
     spacing = scenario.group / scenario.mu
-    normal, column, row = cosines
+    normal, column, row = cosines.unbind(-1)
     if scenario.array == "planar":
         return planar_response(column, row, scenario.rows, scenario.columns, spacing)
     return literal_response(normal, column, row, scenario.elements, scenario.columns, spacing)

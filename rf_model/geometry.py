@@ -19,15 +19,31 @@ def horizontal_distance(start_enu: Tensor, end_enu: Tensor) -> Tensor:
     return (plane * plane).sum(-1).clamp_min(CLOSEST_M**2).sqrt()
 
 
-def panel_cosines(offset_enu: Tensor, distance: Tensor, yaw_rad: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Direction cosines [...] of a direction in the panel's frame: along its normal, its columns and its rows.
+def panel_frame(yaw_rad: Tensor, roll_rad: Tensor | None = None, pitch_rad: Tensor | None = None) -> Tensor:
+    """The panel's axes in ENU [..., 3, 3]: rows are its normal, the way its columns and the way its rows advance.
 
-    The panel stands upright with normal (cos yaw, sin yaw, 0); columns advance along (-sin yaw, cos yaw, 0), rows
-    upwards. `offset_enu` [..., 3] and `distance` [...] come from `offset_and_distance`; `yaw_rad` broadcasts with them.
+    Upright, they are (cos yaw, sin yaw, 0), (-sin yaw, cos yaw, 0) and up. Roll and pitch, of yaw's shape, turn them as
+    the body that carries the panel on its x axis: as MAVLink's ATTITUDE, positive to the right and nose up.
     """
-    x, y, z = (offset_enu / distance.unsqueeze(-1)).unbind(-1)
-    cosine, sine = torch.cos(yaw_rad), torch.sin(yaw_rad)
-    return x * cosine + y * sine, y * cosine - x * sine, z
+    cos_yaw, sin_yaw = torch.cos(yaw_rad), torch.sin(yaw_rad)
+    zero = torch.zeros_like(cos_yaw)
+    if roll_rad is None or pitch_rad is None:
+        flat = (cos_yaw, sin_yaw, zero, -sin_yaw, cos_yaw, zero, zero, zero, torch.ones_like(zero))
+        return torch.unflatten(torch.stack(flat, dim=-1), -1, (3, 3))
+    cos_roll, sin_roll = torch.cos(roll_rad), torch.sin(roll_rad)
+    cos_pitch, sin_pitch = torch.cos(pitch_rad), torch.sin(pitch_rad)
+    tilted = (
+        cos_pitch * cos_yaw,
+        cos_pitch * sin_yaw,
+        sin_pitch,
+        -sin_pitch * sin_roll * cos_yaw - cos_roll * sin_yaw,
+        -sin_pitch * sin_roll * sin_yaw + cos_roll * cos_yaw,
+        cos_pitch * sin_roll,
+        -sin_pitch * cos_roll * cos_yaw + sin_roll * sin_yaw,
+        -sin_pitch * cos_roll * sin_yaw - sin_roll * cos_yaw,
+        cos_pitch * cos_roll,
+    )
+    return torch.unflatten(torch.stack(tilted, dim=-1), -1, (3, 3))
 
 
 def beyond_panel(user_normal: Tensor, base_station_normal: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from rf_model.channels import Channels
 from rf_model.scenario import Scenario
-from rf_model.star_ris import Trc
+from rf_model.star_ris import Coefficients
 
 POWER_TOLERANCE = 1e-6
 """Relative slack at the power limit, for beams computed in float32."""
@@ -18,7 +18,7 @@ class BeamformingError(ValueError):
     """A beamforming matrix that the base station cannot send; the text names what is wrong."""
 
 
-def effective_channel(channels: Channels, trc: Trc) -> Tensor:
+def effective_channel(channels: Channels, trc: Coefficients) -> Tensor:
     """g_j = h_b^T + h_s^T Phi_c H, no conjugate (eq. 12), [..., J, M]; c is the user's side of the panel."""
     reflection, transmission = trc.coefficients()
     phi = torch.where(channels.transmission.unsqueeze(-1), transmission.unsqueeze(-2), reflection.unsqueeze(-2))
@@ -30,11 +30,11 @@ def sinr(received: Tensor, noise_w: float, reading: Literal["power", "amplitude"
 
     `power`: powers of the other streams added; `amplitude`: eq. 13 as printed, |own| / (|sum of others| + sigma^2).
     """
-    own = received.diagonal(dim1=-2, dim2=-1)
-    others = received - torch.diag_embed(own)
+    others = ~torch.eye(received.shape[-1], dtype=torch.bool, device=received.device)
     if reading == "power":
-        return _squared(own) / (_squared(others).sum(-1) + noise_w)
-    return own.abs() / (others.sum(-1).abs() + noise_w)
+        power = _squared(received)
+        return power.diagonal(dim1=-2, dim2=-1) / ((power * others).sum(-1) + noise_w)
+    return received.diagonal(dim1=-2, dim2=-1).abs() / ((received * others).sum(-1).abs() + noise_w)
 
 
 def rate_bps(sinr: Tensor, bandwidth_hz: float) -> Tensor:
@@ -68,4 +68,4 @@ def check_beamforming(beamforming: Tensor, scenario: Scenario) -> None:
 
 
 def _squared(values: Tensor) -> Tensor:
-    return values.real**2 + values.imag**2
+    return torch.view_as_real(values).square().sum(-1)

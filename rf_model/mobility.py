@@ -37,7 +37,8 @@ def initial_users(
 
     inner, outer = scenario.user_radius_m
     radius = (inner**2 + uniform(shape) * (outer**2 - inner**2)).sqrt()
-    angle = _sector_axis(scenario, generator.device, dtype) + (2 * uniform(shape) - 1) * scenario.user_half_angle_rad
+    axis = scenario.panel_heading_rad + math.pi * (_sides(scenario, generator.device, dtype) < 0)
+    angle = axis + (2 * uniform(shape) - 1) * scenario.user_half_angle_rad
     centre_x, centre_y = scenario.user_centre_enu
     position = torch.stack(
         (
@@ -53,16 +54,22 @@ def initial_users(
 
 
 def move_users(scenario: Scenario, users: Users, generator: torch.Generator) -> Users:
-    """Users one slot later: a step at the scenario's speed along a heading that drifts by Gaussian noise.
+    """Users one slot later, their headings' noise drawn from the generator: see `walked_users`."""
+    heading = users.heading_rad
+    noise = torch.randn(heading.shape, generator=generator, dtype=heading.dtype, device=heading.device)
+    return walked_users(scenario, users, noise)
+
+
+def walked_users(scenario: Scenario, users: Users, noise: Tensor) -> Users:
+    """Users one slot later: a step at the scenario's speed along a heading that drifts by N(0, 1) `noise` [..., J].
 
     With `user_bounds: sector`, a user whose step would leave its sector does not step, and turns round.
     """
-    heading = users.heading_rad
-    noise = torch.randn(heading.shape, generator=generator, dtype=heading.dtype, device=heading.device)
-    heading = heading + HEADING_NOISE_RAD[scenario.mobility] * noise
+    heading = users.heading_rad + HEADING_NOISE_RAD[scenario.mobility] * noise
     step = scenario.user_speed_mps * scenario.slot_s
     x, y, z = users.position_enu.unbind(-1)
-    moved = torch.stack((x + step * torch.cos(heading), y + step * torch.sin(heading), z), dim=-1)
+    x, y = x + step * torch.cos(heading), y + step * torch.sin(heading)
+    moved = torch.stack((x, y, z), dim=-1)
     if scenario.user_bounds == "none":
         return Users(position_enu=moved, heading_rad=heading)
     inside = in_sector(scenario, moved)
@@ -77,19 +84,23 @@ def in_sector(scenario: Scenario, position_enu: Tensor) -> Tensor:
     x = position_enu[..., 0] - scenario.user_centre_enu[0]
     y = position_enu[..., 1] - scenario.user_centre_enu[1]
     inner, outer = scenario.user_radius_m
-    squared = x * x + y * y
-    axis = _sector_axis(scenario, position_enu.device, position_enu.dtype)
-    along = x * torch.cos(axis) + y * torch.sin(axis)
-    within_angle = along >= squared.sqrt() * math.cos(scenario.user_half_angle_rad) - 1e-9
-    return (squared >= inner**2) & (squared <= outer**2) & within_angle
+    radius = (x * x + y * y).sqrt()
+    heading = scenario.panel_heading_rad
+    forward = x * math.cos(heading) + y * math.sin(heading)
+    along = forward * _sides(scenario, position_enu.device, position_enu.dtype)
+    within_angle = along >= radius * math.cos(scenario.user_half_angle_rad) - 1e-9
+    return (radius >= inner) & (radius <= outer) & within_angle
 
 
-def _sector_axis(scenario: Scenario, device: torch.device, dtype: torch.dtype) -> Tensor:
-    """Direction of each user's sector from the centre [J]: along the panel's normal, base station's side first."""
+def _sides(scenario: Scenario, device: torch.device, dtype: torch.dtype) -> Tensor:
+    """Whether each user's sector lies along the panel's normal (+1) or against it (-1) [J].
+
+    The first P are on the base station's side of the panel, as it is at the start.
+    """
     heading = scenario.panel_heading_rad
     east = scenario.base_station_enu[0] - scenario.start_enu[0]
     north = scenario.base_station_enu[1] - scenario.start_enu[1]
-    facing = east * math.cos(heading) + north * math.sin(heading) >= 0
-    reflection = heading if facing else heading + math.pi
-    order = torch.arange(scenario.users, device=device)
-    return reflection + math.pi * (order >= scenario.reflection_count).to(dtype)
+    facing = 1.0 if east * math.cos(heading) + north * math.sin(heading) >= 0 else -1.0
+    first = scenario.reflection_count
+    sides = [facing] * first + [-facing] * (scenario.users - first)
+    return torch.tensor(sides, dtype=dtype, device=device)

@@ -1,6 +1,9 @@
-"""Path loss in dB of tensors of distances [m]; frequencies in Hz."""
+"""Path loss in dB and line-of-sight probability of tensors of distances [m]; frequencies in Hz."""
 
 import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 
 import torch
 from torch import Tensor
@@ -53,6 +56,79 @@ def tr38901_uma_nlos_db(carrier_hz: float, distance_2d: Tensor, base_height_m: f
     distance_3d = _distance_3d(distance_2d, base_height_m, user_height_m)
     nlos = 13.54 + 39.08 * torch.log10(distance_3d) + 20.0 * math.log10(carrier_hz / 1e9) - 0.6 * (user_height_m - 1.5)
     return torch.maximum(nlos, tr38901_uma_los_db(carrier_hz, distance_2d, base_height_m, user_height_m))
+
+
+def tr36777_uma_av_los_db(carrier_hz: float, distance_3d: Tensor, height_m: Tensor) -> Tensor:
+    """UMa-AV, LoS (TR 36.777 table B-2): for vehicles above 22.5 and up to 300 m, whatever their height."""
+    return 28.0 + 22.0 * torch.log10(distance_3d) + 20.0 * math.log10(carrier_hz / 1e9)
+
+
+def tr36777_uma_av_nlos_db(carrier_hz: float, distance_3d: Tensor, height_m: Tensor) -> Tensor:
+    """UMa-AV, NLoS (TR 36.777 table B-2): for vehicles up to 100 m; above, the line of sight is certain.
+
+    The table has no maximum with the LoS loss; here it is never less, which matters nearer than 10 m only.
+    """
+    slope = 46.0 - 7.0 * _log_height(height_m)
+    nlos = slope * torch.log10(distance_3d) + (20.0 * math.log10(40.0 * math.pi * carrier_hz / 3e9) - 17.5)
+    return torch.maximum(nlos, tr36777_uma_av_los_db(carrier_hz, distance_3d, height_m))
+
+
+def tr36777_umi_av_los_db(carrier_hz: float, distance_3d: Tensor, height_m: Tensor) -> Tensor:
+    """UMi-AV, LoS (TR 36.777 table B-2): at least free space; for vehicles above 22.5 and up to 300 m."""
+    slope = 22.25 - 0.5 * _log_height(height_m)
+    los = slope * torch.log10(distance_3d) + (30.9 + 20.0 * math.log10(carrier_hz / 1e9))
+    return torch.maximum(los, free_space_db(carrier_hz, distance_3d))
+
+
+def tr36777_umi_av_nlos_db(carrier_hz: float, distance_3d: Tensor, height_m: Tensor) -> Tensor:
+    """UMi-AV, NLoS (TR 36.777 table B-2): for vehicles above 22.5 and up to 300 m."""
+    slope = 43.2 - 7.6 * _log_height(height_m)
+    nlos = slope * torch.log10(distance_3d) + (32.4 + 20.0 * math.log10(carrier_hz / 1e9))
+    return torch.maximum(nlos, tr36777_umi_av_los_db(carrier_hz, distance_3d, height_m))
+
+
+def tr36777_uma_av_los_probability(distance_2d: Tensor, height_m: Tensor) -> Tensor:
+    """UMa-AV (TR 36.777 table B-1): 1 within d1 = max(460 log10 h - 700, 18) and above 100 m."""
+    log_height = _log_height(height_m)
+    probability = _aerial_los_probability(distance_2d, 460.0 * log_height - 700.0, 4300.0 * log_height - 3800.0)
+    return torch.where(height_m > 100.0, 1.0, probability)
+
+
+def tr36777_umi_av_los_probability(distance_2d: Tensor, height_m: Tensor) -> Tensor:
+    """UMi-AV (TR 36.777 table B-1): 1 within d1 = max(294.05 log10 h - 432.94, 18)."""
+    log_height = _log_height(height_m)
+    return _aerial_los_probability(distance_2d, 294.05 * log_height - 432.94, 233.98 * log_height - 0.95)
+
+
+@dataclass(frozen=True)
+class Aerial:
+    """One of TR 36.777's models of the link from a base station to a vehicle in the air (annex B)."""
+
+    los_db: Callable[[float, Tensor, Tensor], Tensor]
+    """Of carrier, 3-D distance and the vehicle's height; so is `nlos_db`."""
+    nlos_db: Callable[[float, Tensor, Tensor], Tensor]
+    los_probability: Callable[[Tensor, Tensor], Tensor]
+    """Of horizontal distance and height."""
+
+
+AERIAL: Mapping[str, Aerial] = MappingProxyType(
+    {
+        "tr36777_uma_av": Aerial(tr36777_uma_av_los_db, tr36777_uma_av_nlos_db, tr36777_uma_av_los_probability),
+        "tr36777_umi_av": Aerial(tr36777_umi_av_los_db, tr36777_umi_av_nlos_db, tr36777_umi_av_los_probability),
+    }
+)
+"""By their names in `PathLoss.bs_ris`."""
+
+
+def _aerial_los_probability(distance_2d: Tensor, d1: Tensor, p1: Tensor) -> Tensor:
+    """d1 / d + exp(-d / p1) (1 - d1 / d) beyond d1; both at least what keeps the form a probability."""
+    share = (d1.clamp_min(18.0) / distance_2d).clamp_max(1.0)
+    return share + torch.exp(-distance_2d / p1.clamp_min(1.0)) * (1.0 - share)
+
+
+def _log_height(height_m: Tensor) -> Tensor:
+    """log10 of a height, which counts as at least 1.5 m (the lowest that TR 36.777 knows)."""
+    return torch.log10(height_m.clamp_min(1.5))
 
 
 def _distance_3d(distance_2d: Tensor, base_height_m: float, user_height_m: float) -> Tensor:

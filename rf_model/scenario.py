@@ -27,14 +27,27 @@ from airframe.power import (
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 PRINTED_INDUCED_VELOCITY_MPS = 4.028
-TALLEST_USER_M = {"tr38901_umi": 22.5, "tr38901_uma": 13.0}
+GRAVITY_MPS2 = 9.80665
+USER_HEIGHT_M = {"tr38901_umi": (1.5, 22.5), "tr38901_uma": (1.5, 13.0)}
 """Validity of TR 38.901 table 7.4.1-1; UMa's effective environment height is random from 13 m on (note 1)."""
+VEHICLE_HEIGHT_M = {"tr36777_umi_av": (22.5, 300.0), "tr36777_uma_av": (22.5, 300.0)}
+"""Validity of TR 36.777 tables B-1 and B-2; below, it refers to TR 38.901."""
+BASE_STATION_HEIGHT_M = {"tr38901_umi": 10.0, "tr38901_uma": 25.0, "tr36777_umi_av": 10.0, "tr36777_uma_av": 25.0}
+"""Heights that the tables were made for (TR 38.901 table 7.2-1, TR 36.777 annex A)."""
+PATH_LOSS_SETS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {
+        "paper": {"bs_user": "paper", "bs_ris": "paper", "ris_user": "paper"},
+        "3gpp": {"bs_user": "tr38901_uma", "bs_ris": "tr36777_uma_av", "ris_user": "elevation"},
+    }
+)
+"""Names that stand for a model on each link."""
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Decibel = Annotated[float, Field(ge=-200, le=200)]
 Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
 Point = tuple[Metres, Metres, Metres]
+WindSpeed = Annotated[float, Field(ge=-50, le=50)]
 Interval = tuple[Metres, Metres]
 
 
@@ -47,14 +60,28 @@ class _Frozen(BaseModel):
 
 
 class PathLoss(_Frozen):
-    """Path-loss model of each link: the paper's (eq. 7-9), TR 38.901 table 7.4.1-1, or free space."""
+    """Path-loss model of each link, because no 3GPP model fits all; a set's name (`paper`, `3gpp`) stands for three."""
 
     bs_user: Literal["paper", "tr38901_umi", "tr38901_uma"] = "paper"
-    """Base station to user, always without line of sight."""
-    bs_ris: Literal["paper"] = "paper"
-    """Base station to surface, always with line of sight (eq. 7)."""
-    ris_user: Literal["paper", "free_space"] = "paper"
-    """Surface to user, line-of-sight part; `Scenario.ris_user` says when it holds."""
+    """Base station to user, always without line of sight: eq. 8 and 9, or TR 38.901 table 7.4.1-1."""
+    bs_ris: Literal["paper", "tr36777_uma_av", "tr36777_umi_av"] = "paper"
+    """Base station to surface: always with line of sight (eq. 7), or TR 36.777 tables B-1 and B-2, line of sight drawn
+    for every slot."""
+    ris_user: Literal["paper", "free_space", "elevation"] = "paper"
+    """Surface to user: eq. 7 (and 9), free space, or free space with the excess of urban air-to-ground links (1 dB in
+    line of sight, 20 dB without); `Scenario.ris_user` says when the line of sight holds."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named_set(cls, value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        if value not in PATH_LOSS_SETS:
+            raise ValueError(
+                f"path_loss: {value!r} is not one of the sets {', '.join(PATH_LOSS_SETS)}; "
+                "or name a model for each of bs_user, bs_ris, ris_user"
+            )
+        return PATH_LOSS_SETS[value]
 
 
 class Scenario(_Frozen):
@@ -66,8 +93,9 @@ class Scenario(_Frozen):
     # Time
     slots: Annotated[int, Field(ge=1, le=1_000_000)] = 30
     slot_s: Annotated[float, Field(ge=0.1, le=60)] = 1.0
-    timing: Literal["pre"] = "pre"
-    """`pre`: the rate of a slot is that of the channels at its opening; the move acts on the next slot's."""
+    timing: Literal["pre", "post"] = "pre"
+    """`pre`: the rate of a slot is that of the channels at its opening; the move acts on the next slot's. `post`: it is
+    that of the channels at the next opening, after the move, which nobody has observed when deciding."""
 
     # Sizes
     antennas: Annotated[int, Field(ge=1, le=256)] = 4
@@ -84,6 +112,15 @@ class Scenario(_Frozen):
     mu: Annotated[float, Field(ge=1, le=16)] = 2.0
     """Physical elements are spaced lambda / mu."""
 
+    # Surface
+    surface: Literal["coupled", "independent", "dual", "conventional"] = "coupled"
+    """`coupled`: STAR-RIS with theta_T = theta_R +- pi/2; `independent`: STAR-RIS with free phases on both sides;
+    `dual`: elements in turn only reflect and only transmit; `conventional`: all only reflect."""
+    phase_bits: Literal[1, 2, 3] | None = None
+    """Each phase takes one of 2^bits values; none given: any."""
+    element_loss_db: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """Loss of an element on whatever it reflects or transmits."""
+
     # Geometry
     box_enu: tuple[Interval, Interval, Interval] = ((-100.0, 100.0), (-100.0, 100.0), (30.0, 120.0))
     """Where the vehicle may be: (min, max) of x, y and z [m]."""
@@ -91,6 +128,8 @@ class Scenario(_Frozen):
     base_station_enu: Point = (-1000.0, 0.0, 25.0)
     panel_heading_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
     """Yaw held in flight: the panel's normal is (cos yaw, sin yaw, 0)."""
+    attitude: Literal["level", "flown"] = "level"
+    """`level`: the panel stands upright; `flown`: it rolls and pitches with the vehicle (yaw always counts)."""
     region: Literal["geometric", "fixed"] = "geometric"
     """Which users the surface serves by transmission: those beyond the panel's plane, or the last J - P, always."""
 
@@ -123,6 +162,8 @@ class Scenario(_Frozen):
 
     # Links
     path_loss: PathLoss = PathLoss()
+    extrapolate: bool = False
+    """Use path-loss models also for heights that they are not valid for."""
     nlos_height: Literal["user", "uav"] = "user"
     """z_s of eq. 9: the receiving user's height, or the vehicle's, as printed."""
     kappa: Annotated[float, Field(ge=0, le=1e6)] = 5.0
@@ -139,6 +180,12 @@ class Scenario(_Frozen):
     array: Literal["planar", "literal"] = "planar"
     """Phases of the surface by direction cosines in its frame, or eq. 6 as printed."""
 
+    # Channel state information
+    csi_error_variance: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """Variance of the estimation error of each channel coefficient, relative to its link's mean power in the slot."""
+    csi_delay_slots: Annotated[int, Field(ge=0, le=1000)] = 0
+    """Age of the channels that the agent observes (in the first slots: those of slot 0)."""
+
     # Vehicle
     motion: Literal["spherical", "cartesian"] = "spherical"
     """How a policy's move decodes: (distance, elevation, azimuth), or a vector clipped in its norm."""
@@ -154,6 +201,10 @@ class Scenario(_Frozen):
     v_perp: VPerp = "normal"
     ris_area: RisArea = "paper"
     drag_coefficient: NonNegative = 2.1
+    ris_mass_kg_per_m2: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """Mass of the panel, for each square metre of elements, which the vehicle carries on top of `weight_n`."""
+    wind_enu: tuple[WindSpeed, WindSpeed, WindSpeed] = (0.0, 0.0, 0.0)
+    """Velocity of the air over ground [m/s]; power is that of the velocity through the air."""
 
     # Reward and observation
     alpha: NonNegative = 1.0
@@ -184,13 +235,35 @@ class Scenario(_Frozen):
             )
         if self.reflection_users is not None and self.reflection_users > self.users:
             raise ValueError(f"reflection_users: {self.reflection_users} is more than users ({self.users})")
-        tallest = TALLEST_USER_M.get(self.path_loss.bs_user)
-        if tallest is not None and not 1.5 <= self.user_height_m <= tallest:
-            raise ValueError(
-                f"user_height_m: {self.user_height_m:g} is outside 1.5 to {tallest:g}, what "
-                f"path_loss.bs_user {self.path_loss.bs_user} is valid for"
-            )
+        if self.surface == "dual" and self.elements < 2:
+            raise ValueError("surface: dual needs at least 2 elements, one for each side")
+        if not self.extrapolate:
+            self._require_valid_heights()
         return self
+
+    def _require_valid_heights(self) -> None:
+        but = "set extrapolate: true to use it all the same"
+        bs_user, bs_ris = self.path_loss.bs_user, self.path_loss.bs_ris
+        lowest, highest = USER_HEIGHT_M.get(bs_user, (-math.inf, math.inf))
+        if not lowest <= self.user_height_m <= highest:
+            raise ValueError(
+                f"user_height_m: {self.user_height_m:g} is outside {lowest:g} to {highest:g}, what "
+                f"path_loss.bs_user {bs_user} is valid for; {but}"
+            )
+        lowest, highest = VEHICLE_HEIGHT_M.get(bs_ris, (-math.inf, math.inf))
+        low, high = self.box_enu[2]
+        if not (lowest < low and high <= highest):
+            raise ValueError(
+                f"box_enu: z from {low:g} to {high:g} is not within ({lowest:g}, {highest:g}], what "
+                f"path_loss.bs_ris {bs_ris} is valid for; {but}"
+            )
+        for link, model in (("bs_user", bs_user), ("bs_ris", bs_ris)):
+            made_for = BASE_STATION_HEIGHT_M.get(model)
+            if made_for is not None and self.base_station_enu[2] != made_for:
+                raise ValueError(
+                    f"base_station_enu: z = {self.base_station_enu[2]:g} is not {made_for:g}, what "
+                    f"path_loss.{link} {model} is valid for; {but}"
+                )
 
     @property
     def elements(self) -> int:
@@ -222,17 +295,26 @@ class Scenario(_Frozen):
 
     @cached_property
     def wing(self) -> RotaryWing:
-        """The vehicle's rotary wing with this scenario's readings of eq. 16."""
+        """The vehicle's rotary wing with this scenario's readings of eq. 16, carrying the panel's weight."""
+        return self._wing(self.weight_n + self.ris_mass_kg * GRAVITY_MPS2)
+
+    def _wing(self, weight_n: float) -> RotaryWing:
         paper = RotaryWing()
-        consistent = hover_induced_velocity(self.weight_n, paper.air_density, paper.disc_area_m2)
+        consistent = hover_induced_velocity(weight_n, paper.air_density, paper.disc_area_m2)
         return paper._replace(
-            weight_n=self.weight_n,
+            weight_n=weight_n,
             induced=self.induced,
             induced_velocity_mps=(
                 consistent if self.induced_velocity == "consistent" else PRINTED_INDUCED_VELOCITY_MPS
             ),
             climb=self.climb,
         )
+
+    @property
+    def ris_mass_kg(self) -> float:
+        """Mass of the panel: every element has its square of the spacing, whatever `ris_area` says of the drag."""
+        rows, columns = self.rows * self.group, self.columns * self.group
+        return self.ris_mass_kg_per_m2 * panel_area_m2(rows, columns, self.wavelength_m / self.mu, "full")
 
     @cached_property
     def panel(self) -> Panel:
@@ -244,8 +326,8 @@ class Scenario(_Frozen):
 
     @cached_property
     def hover_power_w(self) -> float:
-        """P_hover [W], which the reward measures power by."""
-        return hover_power(self.wing)
+        """P_hover [W] without a panel, which the reward measures power by."""
+        return hover_power(self._wing(self.weight_n))
 
 
 def dbm_to_w(power_dbm: float) -> float:
@@ -271,6 +353,7 @@ def _one_line(detail: dict[str, Any]) -> str:
 
 
 _LITERAL: dict[str, Any] = {
+    "timing": "post",
     "rows": 4,
     "columns": 4,
     "region": "fixed",

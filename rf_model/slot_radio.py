@@ -27,23 +27,26 @@ from bus.messages import (
     TrackSample,
     Vec3,
 )
-from rf_model.channels import Channels, draw_channels
+from rf_model.channels import Channels, draw_fading, faded_channels
+from rf_model.csi import Observed
+from rf_model.geometry import panel_frame
 from rf_model.link import BeamformingError, check_beamforming, identity_beamforming
 from rf_model.mobility import Users, initial_users, move_users
 from rf_model.reward import reward
 from rf_model.scenario import Scenario
-from rf_model.star_ris import Trc, TrcError, check_trc, neutral_trc
-from rf_model.world import slot_power, slot_rates
+from rf_model.star_ris import Coefficients, TrcError
+from rf_model.surfaces import read_coefficients, surface_of
+from rf_model.world import slot_power, slot_rates, track_power
 
 Source = Literal["action", "held", "default"]
-_USERS, _CHANNELS = 0, 1
+_USERS, _CHANNELS, _ESTIMATES = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class _Decision:
     """What the surface and the base station are set to."""
 
-    trc: Trc
+    trc: Coefficients
     beamforming: Tensor
 
 
@@ -52,6 +55,8 @@ class _OpenSlot:
     opened: SlotOpened
     users: Users
     channels: Channels
+    observed: Channels
+    """What is known of them."""
 
 
 class SlotRadio:
@@ -70,7 +75,7 @@ class SlotRadio:
         self._scenario = scenario
         self._seed = seed
         self._neutral = _Decision(
-            neutral_trc(scenario.elements, torch.float64), identity_beamforming(scenario, torch.complex128)
+            surface_of(scenario).neutral(torch.float64), identity_beamforming(scenario, torch.complex128)
         )
         self._decision = self._neutral
         self._ever_applied = False
@@ -78,6 +83,7 @@ class SlotRadio:
         self._settled: Source | None = None
         self._doubtful: Action | None = None
         self._walked: tuple[int, Users] | None = None
+        self._observed = Observed(scenario)
         self._time_s = 0.0
 
     @property
@@ -113,23 +119,17 @@ class SlotRadio:
                 return []
             if opened.slot <= before.slot:
                 self._forget_flight()
-            else:
-                self.counters["lost_slots"] += opened.slot - before.slot - 1
-                if self._settled is None:
-                    messages.append(self._settle_overdue(self._slot, opened))
-                messages.append(self._report(self._slot, opened))
+        slot = None if opened.closing and self._scenario.timing == "pre" else self._opened(opened)
+        if self._slot is not None:
+            self.counters["lost_slots"] += opened.slot - self._slot.opened.slot - 1
+            if self._settled is None:
+                messages.append(self._settle_overdue(self._slot, opened))
+            messages.append(self._report(self._slot, opened, self._slot if self._scenario.timing == "pre" else slot))
         if opened.closing:
             self._forget_flight()
             return messages
-        users = self._users_of(opened.slot)
-        channels = draw_channels(
-            self._scenario,
-            torch.tensor(opened.position_enu, dtype=torch.float64),
-            torch.tensor(opened.attitude_rad[2], dtype=torch.float64),
-            users.position_enu,
-            self._generator(opened.slot, _CHANNELS),
-        )
-        self._slot = _OpenSlot(opened, users, channels)
+        assert slot is not None
+        self._slot = slot
         self._settled = None
         self._doubtful = None
         self.counters["slots"] += 1
@@ -182,9 +182,21 @@ class SlotRadio:
         self.counters[counter] += 1
         return _configuration(slot.opened, source, self._decision)
 
-    def _report(self, slot: _OpenSlot, next_opened: SlotOpened) -> LinkReport:
+    def _opened(self, opened: SlotOpened) -> _OpenSlot:
+        users = self._users_of(opened.slot)
+        position = torch.tensor(opened.position_enu, dtype=torch.float64)
+        roll, pitch, yaw = torch.tensor(opened.attitude_rad, dtype=torch.float64)
+        frame = panel_frame(yaw) if self._scenario.attitude == "level" else panel_frame(yaw, roll, pitch)
+        fading = draw_fading(self._scenario, (), self._generator(opened.slot, _CHANNELS), torch.float64)
+        channels = faded_channels(self._scenario, position, frame, users.position_enu, fading)
+        observed = self._observed.of(channels, self._generator(opened.slot, _ESTIMATES))
+        return _OpenSlot(opened, users, channels, observed)
+
+    def _report(self, slot: _OpenSlot, next_opened: SlotOpened, rated: _OpenSlot | None) -> LinkReport:
+        """What `slot` was worth in the channels of the slot `rated`."""
         assert self._settled is not None
-        rates = slot_rates(self._scenario, slot.channels, self._decision.trc, self._decision.beamforming)
+        assert rated is not None
+        rates = slot_rates(self._scenario, rated.channels, self._decision.trc, self._decision.beamforming)
         power = self._mean_power(slot.opened, next_opened)
         following = next_opened.slot == slot.opened.slot + 1 and next_opened.time_s > slot.opened.time_s
         duration_s = next_opened.time_s - slot.opened.time_s if following else self._scenario.slot_s
@@ -192,9 +204,9 @@ class SlotRadio:
             slot=slot.opened.slot,
             time_s=slot.opened.time_s,
             configuration=self._settled,
-            position_enu=slot.opened.position_enu,
-            users_enu=_points(slot.users.position_enu),
-            regions=_regions(slot.channels),
+            position_enu=rated.opened.position_enu,
+            users_enu=_points(rated.users.position_enu),
+            regions=_regions(rated.channels),
             sinr=rates.sinr.tolist(),
             rate_bps=rates.rate_bps.tolist(),
             sum_rate_bps=rates.sum_rate_bps.item(),
@@ -211,21 +223,22 @@ class SlotRadio:
     def _mean_power(self, opened: SlotOpened, next_opened: SlotOpened) -> Tensor:
         """Mean over the flown track, or over both openings when the bridge reports none for this slot [W]."""
         track = _track_of(next_opened.flown, opened.slot)
-        velocities = [sample.velocity_enu for sample in track] or [opened.velocity_enu, next_opened.velocity_enu]
         yaw = torch.tensor(opened.attitude_rad[2], dtype=torch.float64)
-        power = slot_power(self._scenario, torch.tensor(velocities, dtype=torch.float64), yaw)
         if len(track) < 2 or track[-1].time_s <= track[0].time_s:
-            return power.mean()
-        time = torch.tensor([sample.time_s for sample in track], dtype=torch.float64)
-        return torch.trapezoid(power, time) / (time[-1] - time[0])
+            ends = [sample.velocity_enu for sample in track] or [opened.velocity_enu, next_opened.velocity_enu]
+            return slot_power(self._scenario, torch.tensor(ends, dtype=torch.float64), yaw).mean()
+        time_s = torch.tensor([sample.time_s for sample in track], dtype=torch.float64)
+        velocity = torch.tensor([sample.velocity_enu for sample in track], dtype=torch.float64)
+        return track_power(self._scenario, time_s, velocity, yaw)
 
     def _read(self, action: Action) -> _Decision:
-        trc = Trc(
-            torch.tensor(action.theta_reflection, dtype=torch.float64),
-            torch.tensor(action.split_angle, dtype=torch.float64),
-            torch.tensor(action.sign, dtype=torch.float64),
+        trc = read_coefficients(
+            self._scenario,
+            theta_reflection=torch.tensor(action.theta_reflection, dtype=torch.float64),
+            split_angle=torch.tensor(action.split_angle, dtype=torch.float64),
+            sign=torch.tensor(action.sign, dtype=torch.float64),
+            theta_transmission=torch.tensor(action.theta_transmission, dtype=torch.float64),
         )
-        check_trc(trc, self._scenario.elements)
         J, M = self._scenario.users, self._scenario.antennas
         widths = {len(row) for row in action.beamforming}
         if len(action.beamforming) != M or widths != {J}:
@@ -257,6 +270,7 @@ class SlotRadio:
         self._doubtful = None
         self._decision = self._neutral
         self._ever_applied = False
+        self._observed.forget()
 
 
 def _came_in_time(slot: int, next_opened: SlotOpened) -> bool:
@@ -276,9 +290,9 @@ def _channel_state(slot: _OpenSlot) -> ChannelState:
         attitude_rad=slot.opened.attitude_rad,
         users_enu=_points(slot.users.position_enu),
         regions=_regions(slot.channels),
-        direct=_matrix(slot.channels.direct),
-        bs_ris=_matrix(slot.channels.bs_ris),
-        ris_user=_matrix(slot.channels.ris_user),
+        direct=_matrix(slot.observed.direct),
+        bs_ris=_matrix(slot.observed.bs_ris),
+        ris_user=_matrix(slot.observed.ris_user),
     )
 
 

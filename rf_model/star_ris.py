@@ -1,4 +1,4 @@
-"""Coupled transmission and reflection coefficients (TRC) of an energy-splitting STAR-RIS (paper eq. 1, 2, 21)."""
+"""Transmission and reflection coefficients (TRC) of an energy-splitting STAR-RIS (paper eq. 1, 2, 21)."""
 
 import math
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ ANGLE_TOLERANCE_RAD = 1e-6
 
 
 class TrcError(ValueError):
-    """Coefficients that no passive coupled surface can have; the text names the field."""
+    """Coefficients that the surface cannot have; the text names the field."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,53 @@ class Trc:
 
     def coefficients(self) -> tuple[Tensor, Tensor]:
         """Diagonals of Phi_R and Phi_T (eq. 2), complex [..., N]."""
-        phasor = torch.complex(torch.cos(self.theta_reflection), torch.sin(self.theta_reflection))
-        quarter_turn = torch.complex(torch.zeros_like(self.sign), self.sign)
-        return phasor * self.beta_reflection, phasor * quarter_turn * self.beta_transmission
+        cosine, sine = torch.cos(self.theta_reflection), torch.sin(self.theta_reflection)
+        reflected, transmitted = self.beta_reflection, self.sign * self.beta_transmission
+        return (
+            torch.complex(cosine * reflected, sine * reflected),
+            torch.complex(-sine * transmitted, cosine * transmitted),  # j sign e^{j theta_R}
+        )
+
+
+@dataclass(frozen=True)
+class IndependentTrc:
+    """Coefficients of N elements whose phases are free on each side: each field is [..., N]."""
+
+    theta_reflection: Tensor
+    """[rad]"""
+    split_angle: Tensor
+    """x [rad] in [0, pi/2]: beta_R = sin x, beta_T = cos x."""
+    theta_transmission: Tensor
+    """[rad]"""
+
+    @property
+    def sign(self) -> Tensor:
+        """+1 everywhere: it means nothing here, and messages have a place for it."""
+        return torch.ones_like(self.theta_reflection)
+
+    @property
+    def beta_reflection(self) -> Tensor:
+        """Amplitude on the reflection side, sin x."""
+        return torch.sin(self.split_angle)
+
+    @property
+    def beta_transmission(self) -> Tensor:
+        """Amplitude on the transmission side, cos x."""
+        return torch.cos(self.split_angle)
+
+    def coefficients(self) -> tuple[Tensor, Tensor]:
+        """Diagonals of Phi_R and Phi_T (eq. 2), complex [..., N]."""
+        reflected, transmitted = self.beta_reflection, self.beta_transmission
+        return (
+            torch.complex(torch.cos(self.theta_reflection) * reflected, torch.sin(self.theta_reflection) * reflected),
+            torch.complex(
+                torch.cos(self.theta_transmission) * transmitted, torch.sin(self.theta_transmission) * transmitted
+            ),
+        )
+
+
+Coefficients = Trc | IndependentTrc
+"""What any surface can be set to: both have theta_*, beta_*, split_angle, sign and coefficients()."""
 
 
 def neutral_trc(elements: int, dtype: torch.dtype) -> Trc:
@@ -58,22 +102,23 @@ def neutral_trc(elements: int, dtype: torch.dtype) -> Trc:
     )
 
 
-def check_trc(trc: Trc, elements: int) -> None:
+def check_trc(trc: Coefficients, elements: int) -> None:
     """Raise TrcError unless every field is [..., N], finite and within its range (eq. 21b to 21f)."""
-    limits = {
-        "theta_reflection": (-math.pi, math.pi, "[-pi, pi]"),
-        "split_angle": (0.0, math.pi / 2, "[0, pi/2]"),
-    }
-    for name in ("theta_reflection", "split_angle", "sign"):
+    phases = ("theta_reflection",) if isinstance(trc, Trc) else ("theta_reflection", "theta_transmission")
+    for name in (*phases, "split_angle", "sign"):
         values: Tensor = getattr(trc, name)
         if values.shape[-1:] != (elements,):
             raise TrcError(f"{name}: shape {list(values.shape)}, the surface has {elements} elements")
         if not torch.isfinite(values).all():
             raise TrcError(f"{name}: not finite")
-    for name, (low, high, allowed) in limits.items():
-        values = getattr(trc, name)
-        outside = (values < low - ANGLE_TOLERANCE_RAD) | (values > high + ANGLE_TOLERANCE_RAD)
-        if outside.any():
-            raise TrcError(f"{name}: {values[outside][0].item():g} is outside {allowed}")
+    for name in phases:
+        _require_between(name, getattr(trc, name), -math.pi, math.pi, "[-pi, pi]")
+    _require_between("split_angle", trc.split_angle, 0.0, math.pi / 2, "[0, pi/2]")
     if not (trc.sign.abs() == 1).all():
         raise TrcError("sign: must be -1 or 1")
+
+
+def _require_between(name: str, values: Tensor, low: float, high: float, allowed: str) -> None:
+    outside = (values < low - ANGLE_TOLERANCE_RAD) | (values > high + ANGLE_TOLERANCE_RAD)
+    if outside.any():
+        raise TrcError(f"{name}: {values[outside][0].item():g} is outside {allowed}")

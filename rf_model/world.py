@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from airframe.power import total_power
-from rf_model.channels import Channels, line_of_sight_probability, link_gains
+from airframe.power import drag_force, total_power
+from rf_model.channels import Channels, link_gains
 from rf_model.fairness import fair_rate_bps, hfi, jfi
-from rf_model.geometry import offset_and_distance
 from rf_model.link import effective_channel, rate_bps, sinr
 from rf_model.scenario import Scenario
-from rf_model.star_ris import Trc
+from rf_model.star_ris import Coefficients
 
 
 @dataclass(frozen=True)
@@ -23,14 +22,23 @@ class Rates:
     """[..., J]"""
     rate_bps: Tensor
     """[..., J]"""
-    sum_rate_bps: Tensor
-    """[...]"""
     fair_rate_bps: Tensor
     """[...] HFI times the sum rate."""
-    hfi: Tensor
-    """[...]"""
-    jfi: Tensor
-    """[...]"""
+
+    @property
+    def sum_rate_bps(self) -> Tensor:
+        """[...]"""
+        return self.rate_bps.sum(-1)
+
+    @property
+    def hfi(self) -> Tensor:
+        """[...]"""
+        return hfi(self.rate_bps)
+
+    @property
+    def jfi(self) -> Tensor:
+        """[...]"""
+        return jfi(self.rate_bps)
 
 
 @dataclass(frozen=True)
@@ -42,25 +50,37 @@ class ReferenceGains:
     ris_user: float
 
 
-def slot_rates(scenario: Scenario, channels: Channels, trc: Trc, beamforming: Tensor) -> Rates:
+def slot_rates(scenario: Scenario, channels: Channels, trc: Coefficients, beamforming: Tensor) -> Rates:
     """Rates for channels and TRCs [..., N] of one batch shape and beamforming [..., M, J] (eq. 12-14)."""
     received = effective_channel(channels, trc) @ beamforming
     ratio = sinr(received, scenario.noise_w, scenario.sinr)
     rate = rate_bps(ratio, scenario.bandwidth_hz)
-    return Rates(
-        sinr=ratio,
-        rate_bps=rate,
-        sum_rate_bps=rate.sum(-1),
-        fair_rate_bps=fair_rate_bps(rate),
-        hfi=hfi(rate),
-        jfi=jfi(rate),
-    )
+    return Rates(sinr=ratio, rate_bps=rate, fair_rate_bps=fair_rate_bps(rate))
 
 
 def slot_power(scenario: Scenario, velocity_enu: Tensor, yaw_rad: Tensor) -> Tensor:
-    """Total power (eq. 19) [W], [...], at a velocity [..., 3] with the panel's normal at yaw [...]."""
-    x, y, z = velocity_enu.unbind(-1)
+    """Total power (eq. 19) [W], [...], at a velocity over ground [..., 3] with the panel's normal at yaw [...].
+
+    It is that of the velocity through the air: over ground less the scenario's wind.
+    """
+    x, y, z = (ground - wind for ground, wind in zip(velocity_enu.unbind(-1), scenario.wind_enu, strict=True))
     return total_power(scenario.wing, scenario.panel, x, y, z, torch.cos(yaw_rad), torch.sin(yaw_rad))
+
+
+def track_power(scenario: Scenario, time_s: Tensor, velocity_enu: Tensor, yaw_rad: Tensor) -> Tensor:
+    """Mean power [W] over a flown track: velocities over ground [T, 3] at two or more increasing times [T]."""
+    power = slot_power(scenario, velocity_enu, yaw_rad)
+    return torch.trapezoid(power, time_s) / (time_s[-1] - time_s[0])
+
+
+def steady_tilt(scenario: Scenario, velocity_enu: Tensor, yaw_rad: Tensor) -> tuple[Tensor, Tensor]:
+    """MAVLink's roll and pitch [...] [rad] at which thrust holds weight and drag at a constant velocity [..., 3]."""
+    x, y = (velocity_enu[..., axis] - scenario.wind_enu[axis] for axis in (0, 1))
+    cosine, sine = torch.cos(yaw_rad), torch.sin(yaw_rad)
+    east, north = drag_force(scenario.wing, scenario.panel, x, y, cosine, sine)
+    forward, left = east * cosine + north * sine, north * cosine - east * sine
+    weight = torch.full_like(forward, scenario.wing.weight_n)
+    return -torch.atan2(left, torch.hypot(forward, weight)), -torch.atan2(forward, weight)
 
 
 def reference_gains(scenario: Scenario) -> ReferenceGains:
@@ -72,18 +92,10 @@ def reference_gains(scenario: Scenario) -> ReferenceGains:
     start = torch.tensor(scenario.start_enu, dtype=torch.float64)
     users = _user_grid(scenario)
     gains = link_gains(scenario, start, users)
-    if scenario.ris_user == "los":
-        ris_user = gains.ris_user**2
-    elif scenario.ris_user == "nlos":
-        ris_user = gains.ris_user_blocked**2
-    else:
-        offset, distance = offset_and_distance(start, users)
-        clear = line_of_sight_probability(-offset[..., 2] / distance)
-        ris_user = clear * gains.ris_user**2 + (1 - clear) * gains.ris_user_blocked**2
     return ReferenceGains(
         direct=math.sqrt((gains.direct**2).mean().item()),
-        bs_ris=gains.bs_ris.item(),
-        ris_user=math.sqrt(ris_user.mean().item()),
+        bs_ris=math.sqrt(gains.bs_ris_power.item()),
+        ris_user=math.sqrt(gains.ris_user_power.mean().item()),
     )
 
 

@@ -11,6 +11,8 @@ from agent.decoding import RawActionError, action_size
 from agent.environment import Environment
 from agent.observation import state_size
 from rf_model.scenario import Scenario, preset
+from rf_model.surfaces import surface_of
+from rf_model.world import slot_rates, track_power
 
 SMALL = preset("physical_small")
 
@@ -131,6 +133,96 @@ def test_the_reward_is_of_the_channels_observed_and_the_move_acts_on_the_next_sl
     assert torch.equal(a.rates.rate_bps, b.rates.rate_bps)
     assert not torch.equal(a.power_w, b.power_w)
     assert not torch.equal(still.step(raw).rates.rate_bps, moving.step(raw).rates.rate_bps)
+
+
+def test_with_timing_post_the_reward_is_of_the_channels_after_the_move():
+    """The same worlds unfold; only which channels a slot's action is rated in differs."""
+    pre, post = (Environment(preset("physical_small", timing=timing), batch=3, seed=0) for timing in ("pre", "post"))
+    pre.reset(), post.reset()
+    for slot in range(3):
+        raw = random_raw(SMALL, 3, slot)
+        before, after = pre.step(raw), post.step(raw)
+        assert torch.equal(before.observation, after.observation)
+        assert torch.equal(before.power_w, after.power_w)
+        expected = slot_rates(SMALL, post.world.channels, after.action.trc, after.action.beamforming)
+        assert torch.equal(after.rates.rate_bps, expected.rate_bps)
+        assert not torch.equal(before.rates.rate_bps, after.rates.rate_bps)
+
+
+def test_imperfect_csi_is_observed_and_exact_channels_are_rated():
+    exact = Environment(SMALL, batch=2, seed=0)
+    noisy = Environment(preset("physical_small", csi_error_variance=0.3), batch=2, seed=0)
+    first, seen = exact.reset(), noisy.reset()
+    assert torch.equal(first[:, :3], seen[:, :3])
+    assert (first[:, 3:] != seen[:, 3:]).all()
+    raw = random_raw(SMALL, 2, 0)
+    assert torch.equal(exact.step(raw).rates.rate_bps, noisy.step(raw).rates.rate_bps)
+
+
+def test_stale_csi_is_that_of_earlier_slots_in_every_episode():
+    exact = Environment(preset("physical_small", slots=4), batch=2, seed=0)
+    stale = Environment(preset("physical_small", slots=4, csi_delay_slots=2), batch=2, seed=0)
+    for _ in range(2):
+        now, late = [exact.reset()], [stale.reset()]
+        for slot in range(4):
+            raw = random_raw(SMALL, 2, slot)
+            now.append(exact.step(raw).observation)
+            late.append(stale.step(raw).observation)
+        for slot in range(5):
+            assert torch.equal(late[slot][:, 3:], now[max(0, slot - 2)][:, 3:])
+            assert torch.equal(late[slot][:, :3], now[slot][:, :3])
+
+
+@pytest.mark.parametrize("surface", ["coupled", "independent", "dual", "conventional"])
+@pytest.mark.parametrize("bits", [None, 2])
+def test_every_surface_can_be_lived_with(surface, bits):
+    scenario = preset("physical_small", surface=surface, phase_bits=bits)
+    environment = Environment(scenario, batch=2, seed=0)
+    environment.reset()
+    step = environment.step(random_raw(scenario, 2, 0))
+    surface_of(scenario).check(step.action.trc)
+    assert torch.isfinite(step.reward).all()
+
+
+def test_a_flown_tilt_changes_what_the_surface_sees():
+    level = Environment(SMALL, batch=2, seed=0)
+    tilted = Environment(preset("physical_small", attitude="flown"), batch=2, seed=0)
+    assert torch.allclose(level.reset(), tilted.reset(), atol=1e-5)  # at rest it is upright
+    raw = random_raw(SMALL, 2, 0)
+    raw[:, :3] = torch.tensor([1.0, 0.0, 0.0])
+    level.step(raw), tilted.step(raw)
+    assert not torch.allclose(level.world.channels.ris_user, tilted.world.channels.ris_user, rtol=1e-2)
+    assert torch.equal(level.world.channels.direct, tilted.world.channels.direct)
+
+
+def test_with_inertia_the_power_is_the_mean_over_the_velocities_on_the_way():
+    """Against the flown track sampled finely; from rest and from speed."""
+    environment = Environment(SMALL, batch=3, seed=0, acceleration_mps2=3.0)
+    environment.reset()
+    for slot in range(3):
+        raw = random_raw(SMALL, 3, slot)
+        before = environment.world.velocity_enu.double()
+        step = environment.step(raw)
+        after = environment.world.velocity_enu.double()
+        time = torch.linspace(0, 1, 2001, dtype=torch.float64)
+        ramp = (after - before).norm(dim=-1, keepdim=True) / 3.0
+        for row in range(3):
+            share = (time[:, None] / ramp[row].clip(min=1e-9)).clip(max=1.0)
+            track = before[row] + share * (after[row] - before[row])
+            expected = track_power(SMALL, time, track, torch.tensor(0.0, dtype=torch.float64))
+            assert step.power_w[row].item() == pytest.approx(
+                expected.item(), rel=4e-3
+            )  # the ramp may cross from descent to climb, where power has a kink
+
+
+def test_long_episodes_outlast_the_block_of_fading_that_is_drawn_at_once():
+    scenario = preset("physical_small", slots=40)
+    environment = Environment(scenario, batch=64, seed=0)
+    seen = [environment.reset()]
+    for slot in range(40):
+        seen.append(environment.step(random_raw(scenario, 64, slot)).observation)
+    direct = torch.stack(seen)[:, 0, 3:]
+    assert len(direct.unique(dim=0)) == 41
 
 
 def test_at_the_box_the_vehicle_stops_and_pays_for_what_it_moved():

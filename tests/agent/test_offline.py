@@ -46,10 +46,15 @@ def test_cloning_recovers_the_policy_that_flew(tmp_path):
 def test_updates_stay_near_the_data_and_the_result_is_judged(tmp_path):
     transitions, fixed = flown(noise=0.1)
     seen: list[OfflineProgress] = []
-    result = train_offline(SCENARIO, CONFIG, transitions, tmp_path, report=seen.append)
-    raw = TrainedPolicy(result.policy_file, SCENARIO)(torch.as_tensor(transitions.observation), 0)
+    result = train_offline(SCENARIO, CONFIG, transitions, tmp_path / "held", report=seen.append)
+    free = train_offline(SCENARIO, CONFIG.model_copy(update={"cloning": 0.0}), transitions, tmp_path / "free")
     split = continuous_size(SCENARIO)
-    assert (raw[:, :split] - fixed[:split]).abs().mean() < 0.3
+
+    def strayed(policy_file) -> torch.Tensor:
+        raw = TrainedPolicy(policy_file, SCENARIO)(torch.as_tensor(transitions.observation), 0)
+        return (raw[:, :split] - fixed[:split]).abs().mean()
+
+    assert strayed(result.policy_file) < 0.67 * strayed(free.policy_file)  # 0.22 to 0.55 with other worlds
     assert [(p.updates, p.cloning) for p in seen if p.updates in (400, 500, 600)] == [
         (400, True),
         (500, False),

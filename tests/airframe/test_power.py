@@ -14,6 +14,7 @@ from airframe.power import (
     ZENG_2019,
     Panel,
     RotaryWing,
+    drag_force,
     hover_induced_velocity,
     hover_power,
     panel_area_m2,
@@ -142,3 +143,19 @@ def test_float32_stays_finite_at_high_speed_and_gradient_at_rest():
     velocity = torch.zeros(3, requires_grad=True)
     total_power(PAPER_WING, Panel(area_m2=0.2), velocity[0], velocity[1], velocity[2], 1.0, 0.0).backward()
     assert torch.isfinite(velocity.grad).all()
+
+
+@given(wings, speeds, speeds, st.floats(-math.pi, math.pi), st.sampled_from(["normal", "speed"]))
+@settings(deadline=None)
+def test_drag_force_times_velocity_is_the_power_that_drag_takes(wing, x, y, heading, v_perp):
+    panel = Panel(area_m2=0.2, v_perp=v_perp)
+    normal = (math.cos(heading), math.sin(heading))
+    terms = power_terms(wing, panel, x, y, 0.0, *normal)
+    fx, fy = drag_force(wing, panel, x, y, *normal)
+    assert fx * x + fy * y == pytest.approx(terms.parasite + terms.panel_drag, rel=1e-6, abs=1e-6)
+
+
+def test_panel_is_pushed_along_its_normal_only():
+    fx, fy = drag_force(PAPER_WING._replace(fuselage_drag_ratio=0.0), Panel(area_m2=0.2), 3.0, 4.0, 1.0, 0.0)
+    assert fx == pytest.approx(0.5 * 1.225 * 0.2 * 2.1 * 9)
+    assert fy == 0

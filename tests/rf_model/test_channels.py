@@ -8,8 +8,10 @@ import pytest
 import torch
 from scipy import stats
 
+from rf_model import path_loss
 from rf_model.arrays import literal_response, planar_response
-from rf_model.channels import draw_channels, line_of_sight_probability
+from rf_model.channels import draw_channels, draw_fading, faded_channels, line_of_sight_probability, link_gains
+from rf_model.geometry import panel_frame
 from rf_model.scenario import preset
 from rf_model.world import reference_gains
 
@@ -249,3 +251,137 @@ def test_position_gradient_agrees_with_finite_differences():
         return channels.ris_user.abs().square().sum() * 1e8 + channels.bs_ris.abs().square().sum() * 1e6
 
     assert torch.autograd.gradcheck(total, vector(10.0, 5.0, 60.0).requires_grad_(), atol=1e-6, rtol=1e-4)
+
+
+def test_base_station_link_of_tr_36777_is_blocked_as_often_as_its_probability():
+    scenario = preset("physical_small", path_loss={"bs_ris": "tr36777_umi_av"}, extrapolate=True, kappa=1e6)
+    position = (-600.0, 0.0, 40.0)  # 400 m from the base station
+    channels = draw(scenario, position, batch=(4000,))
+    distance, height = vector(math.dist(position, scenario.base_station_enu)), vector(40.0)
+    model = path_loss.AERIAL["tr36777_umi_av"]
+    expected = model.los_probability(vector(400.0), height).item()
+    assert 0.2 < expected < 0.8
+    power = channels.bs_ris.abs().square().mean((-2, -1)) * 10 ** (-scenario.ris_gain_db / 10)
+    los, nlos = (10 ** (-loss(5e9, distance, height).item() / 10) for loss in (model.los_db, model.nlos_db))
+    clear = power > math.sqrt(los * nlos)
+    assert clear.double().mean().item() == pytest.approx(expected, abs=0.03)
+    assert power[clear].mean().item() == pytest.approx(los, rel=0.01)
+    assert power[~clear].mean().item() == pytest.approx(nlos, rel=0.05)
+
+
+def test_set_3gpp_is_three_models():
+    scenario = preset("physical_small", path_loss="3gpp", ris_gain_db=0.0, direct_extra_db=0.0)
+    position, user = vector(0.0, 0.0, 60.0), vector(30.0, 40.0, 1.5)
+    gains = link_gains(scenario, position, user.unsqueeze(0))
+    base = vector(*scenario.base_station_enu)
+    loss_db = {
+        "direct": path_loss.tr38901_uma_nlos_db(5e9, (user - base)[:2].norm(), 25.0, 1.5),
+        "bs_ris": path_loss.tr36777_uma_av_los_db(5e9, (position - base).norm(), vector(60.0)),
+        "bs_ris_blocked": path_loss.tr36777_uma_av_nlos_db(5e9, (position - base).norm(), vector(60.0)),
+        "ris_user": path_loss.free_space_db(5e9, (position - user).norm()) + 1.0,
+        "ris_user_blocked": path_loss.free_space_db(5e9, (position - user).norm()) + 20.0,
+    }
+    for link, expected in loss_db.items():
+        assert -20 * math.log10(getattr(gains, link).item()) == pytest.approx(expected.item()), link
+    assert gains.bs_ris_sight.item() == pytest.approx(
+        path_loss.tr36777_uma_av_los_probability(vector(1000.0), vector(60.0)).item()
+    )
+    elevation = (58.5 / (position - user).norm()).unsqueeze(0)
+    assert gains.ris_user_sight.item() == line_of_sight_probability(elevation).item()
+
+
+def test_element_loss_takes_from_the_cascade_once():
+    plain, lossy = (draw(preset("physical_small", element_loss_db=loss), seed=3) for loss in (0.0, 3.0))
+    torch.testing.assert_close(lossy.bs_ris, plain.bs_ris * 10 ** (-3 / 20))
+    assert torch.equal(lossy.ris_user, plain.ris_user)
+
+
+def rotation(axis: int, angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = [(1, 2), (2, 0), (0, 1)][axis]
+    matrix = np.eye(3)
+    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw"), [(0.0, 0.0, 0.4), (0.3, 0.0, 0.0), (0.0, 0.5, -2.0), (-0.2, 0.4, 1.0)]
+)
+def test_panel_frame_is_the_bodys_rotation(roll, pitch, yaw):
+    """Yaw, then pitch, then roll about the carried axes: forward, left, up; nose up turns against the left axis."""
+    body = rotation(2, yaw) @ rotation(1, -pitch) @ rotation(0, roll)
+    frame = panel_frame(*(torch.tensor(angle, dtype=F64) for angle in (yaw, roll, pitch)))
+    np.testing.assert_allclose(frame.numpy(), body.T, atol=1e-12)
+
+
+def test_panel_tilts_as_mavlink_says():
+    zero, angle = torch.tensor(0.0), torch.tensor(0.1)
+    nose_up, right_down = panel_frame(zero, zero, angle), panel_frame(zero, angle, zero)
+    assert nose_up[0, 2] > 0.09  # the normal points forward and up
+    assert right_down[1, 2] > 0.09  # the columns, which advance to the left, rise
+
+
+def test_tilt_turns_the_array_response_and_the_sides():
+    scenario = los_only()
+    position, user = vector(0.0, 0.0, 60.0), vector(40.0, 0.0, 1.5)
+    fading = draw_fading(scenario, (), generator(0), F64)
+    angles = [torch.tensor(a, dtype=F64) for a in (0.0, 0.2, -0.4)]
+    frame = panel_frame(*angles)
+    channels = faded_channels(scenario, position, frame, user.expand(4, 3), fading)
+    towards = ((user - position) / (user - position).norm()).numpy()
+    spacing = scenario.group / scenario.mu  # wavelengths
+    _, along_columns, along_rows = frame.numpy()
+    h = channels.ris_user[0].numpy()
+    for n in range(scenario.elements):
+        row, column = divmod(n, scenario.columns)
+        nearer = spacing * (column * along_columns + row * along_rows) @ towards
+        assert abs(h[n] / h[0] - cmath.exp(2j * math.pi * nearer)) < 1e-2
+    # Nose down by more than the user's elevation: the user comes in front of the panel, the base station stays behind.
+    level = faded_channels(scenario, position, panel_frame(angles[0]), user.expand(4, 3), fading)
+    behind = vector(-20.0, 0.0, 1.5)
+    assert level.transmission[0]
+    nose_down = panel_frame(angles[0], angles[0], torch.tensor(-0.9, dtype=F64))
+    turned = faded_channels(scenario, position, nose_down, behind.expand(4, 3), fading)
+    assert turned.transmission[0]
+    assert not faded_channels(scenario, position, panel_frame(angles[0]), behind.expand(4, 3), fading).transmission[0]
+
+
+def test_position_that_is_no_number_spoils_its_own_row_only():
+    scenario = preset("physical_small")
+    users = torch.tensor([(-40.0, 30.0, 1.5)] * 4, dtype=F64).expand(2, 4, 3)
+    position = torch.tensor([[0.0, 0, 60], [math.nan, 0, 60]], dtype=F64)
+    channels = draw_channels(scenario, position, torch.zeros(2, dtype=F64), users, generator(0))
+    whole = torch.view_as_real(channels.ris_user)
+    assert torch.isfinite(whole[0]).all()
+    assert torch.isnan(whole[1]).any()
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"users": 6, "antennas": 2},
+        {"rows": 2, "columns": 5},
+        {"reflection_users": 0},
+        {"reflection_users": 4},
+        {"users": 1},
+        {"antennas": 1},
+    ],
+    ids=["M < J", "not square", "P = 0", "Q = 0", "J = 1", "M = 1"],
+)
+def test_odd_sizes_give_finite_rates(fields):
+    from rf_model.link import identity_beamforming
+    from rf_model.mobility import initial_users
+    from rf_model.surfaces import surface_of
+    from rf_model.world import slot_rates
+
+    scenario = preset("physical_small", **fields)
+    users = initial_users(scenario, (3,), generator(1), F64)
+    start = vector(*scenario.start_enu).expand(3, 3)
+    channels = draw_channels(scenario, start, torch.zeros(3, dtype=F64), users.position_enu, generator(2))
+    assert channels.transmission.sum(-1).tolist() == [scenario.users - scenario.reflection_count] * 3
+    beams = identity_beamforming(scenario, torch.complex128)
+    rates = slot_rates(scenario, channels, surface_of(scenario).neutral(F64), beams)
+    assert torch.isfinite(rates.rate_bps).all()
+    assert (rates.rate_bps > 0).all()
+    for index in (rates.hfi, rates.jfi):
+        assert ((index >= 0) & (index <= 1 + 1e-9)).all()

@@ -9,13 +9,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from airframe.power import drag_force, total_power
 from rf_model.channels import Channels
 from rf_model.fairness import fair_rate_bps, hfi, jfi
+from rf_model.geometry import panel_frame
 from rf_model.link import BeamformingError, check_beamforming, identity_beamforming, rate_bps, sinr
 from rf_model.reward import reward
 from rf_model.scenario import preset
 from rf_model.star_ris import Trc
-from rf_model.world import slot_power, slot_rates
+from rf_model.world import slot_power, slot_rates, steady_tilt, track_power
 
 SCENARIO = preset("physical_small", users=3, antennas=2, rows=2, columns=3)
 BATCH, J, M, N = 4, 3, 2, 6
@@ -213,3 +215,34 @@ def test_power_limit_per_user():
     check_beamforming(beams * 2, scenario)
     with pytest.raises(BeamformingError, match="for a user"):
         check_beamforming(beams * 2.01, scenario)
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (7.0, -3.0, 1.0)])
+def test_power_is_that_of_the_velocity_through_the_air(velocity):
+    windy = preset("physical_small", wind_enu=(2.0, -5.0, 0.5))
+    through_air = [v - w for v, w in zip(velocity, windy.wind_enu, strict=True)]
+    expected = total_power(windy.wing, windy.panel, *through_air, math.cos(0.3), math.sin(0.3))
+    yaw = torch.tensor(0.3, dtype=torch.float64)
+    assert slot_power(windy, torch.tensor(velocity, dtype=torch.float64), yaw).item() == pytest.approx(expected)
+
+
+def test_track_power_is_the_time_mean():
+    time = torch.tensor([0.0, 0.25, 1.0], dtype=torch.float64)
+    velocity = torch.tensor([[0.0, 0, 0], [4.0, 0, 0], [8.0, 0, 0]], dtype=torch.float64)
+    yaw = torch.tensor(0.0, dtype=torch.float64)
+    p = slot_power(SCENARIO, velocity, yaw).tolist()
+    expected = 0.25 * (p[0] + p[1]) / 2 + 0.75 * (p[1] + p[2]) / 2
+    assert track_power(SCENARIO, time, velocity, yaw).item() == pytest.approx(expected)
+
+
+@given(st.floats(-12, 12), st.floats(-12, 12), st.floats(-math.pi, math.pi))
+@settings(deadline=None)
+def test_thrust_at_the_steady_tilt_holds_weight_and_drag(x, y, heading):
+    """The body's up axis, by its rotation, points along the drag to overcome plus the weight."""
+    scenario = preset("physical_small", wind_enu=(1.0, 2.0, 0.0))
+    yaw = torch.tensor(heading, dtype=torch.float64)
+    roll, pitch = steady_tilt(scenario, torch.tensor([x, y, 0.0], dtype=torch.float64), yaw)
+    up = panel_frame(yaw, roll, pitch)[2].numpy()
+    normal = (math.cos(heading), math.sin(heading))
+    force = np.array([*drag_force(scenario.wing, scenario.panel, x - 1.0, y - 2.0, *normal), scenario.wing.weight_n])
+    np.testing.assert_allclose(up, force / np.linalg.norm(force), atol=1e-6)

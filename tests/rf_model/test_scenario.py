@@ -66,7 +66,7 @@ def test_path_loss_overrides_one_link_and_keeps_the_others():
         ({"kappa": math.nan}, ["kappa", "nan", "finite"]),
         ({"start_enu": (0, 0, math.inf)}, ["start_enu.2", "inf", "finite"]),
         ({"path_loss": {"bs_user": "okumura"}}, ["path_loss.bs_user", "okumura", "tr38901_umi"]),
-        ({"timing": "post"}, ["timing", "post", "'pre'"]),
+        ({"timing": "during"}, ["timing", "during", "'pre' or 'post'"]),
         ({"box_enu": ((1, -1), (-1, 1), (30, 60))}, ["box_enu", "x from 1 to -1"]),
         ({"start_enu": (0, 0, 20)}, ["start_enu", "z = 20", "30 to 120"]),
         ({"base_station_enu": (0, 0, 60)}, ["base_station_enu", "start_enu"]),
@@ -75,8 +75,31 @@ def test_path_loss_overrides_one_link_and_keeps_the_others():
         ({"user_height_m": 30, "box_enu": ((-1, 1), (-1, 1), (20, 60))}, ["box_enu", "user_height_m"]),
         (
             {"user_height_m": 15, "path_loss": {"bs_user": "tr38901_uma"}},
-            ["user_height_m", "15", "1.5 to 13", "tr38901_uma"],
+            ["user_height_m", "15", "1.5 to 13", "tr38901_uma", "extrapolate: true"],
         ),
+        (
+            {"path_loss": {"bs_user": "tr38901_umi"}},
+            ["base_station_enu", "z = 25 is not 10", "path_loss.bs_user tr38901_umi", "extrapolate: true"],
+        ),
+        (
+            {"path_loss": "3gpp", "box_enu": ((-1, 1), (-1, 1), (22, 60))},
+            ["box_enu", "22 to 60", "(22.5, 300]", "path_loss.bs_ris tr36777_uma_av", "extrapolate: true"],
+        ),
+        (
+            {"path_loss": {"bs_ris": "tr36777_umi_av"}, "base_station_enu": (-1000, 0, 10), "start_enu": (0, 0, 301)}
+            | {"box_enu": ((-1, 1), (-1, 1), (30, 301))},
+            ["box_enu", "30 to 301", "tr36777_umi_av"],
+        ),
+        ({"path_loss": "4gpp"}, ["path_loss", "4gpp", "paper, 3gpp"]),
+        ({"phase_bits": 4}, ["phase_bits", "4", "1, 2 or 3"]),
+        ({"surface": "star"}, ["surface", "star", "'coupled'", "'conventional'"]),
+        ({"element_loss_db": -1}, ["element_loss_db", "-1", "greater than or equal to 0"]),
+        ({"attitude": "tilted"}, ["attitude", "tilted", "'level' or 'flown'"]),
+        ({"csi_error_variance": -0.1}, ["csi_error_variance", "-0.1", "greater than or equal to 0"]),
+        ({"csi_delay_slots": 1.5}, ["csi_delay_slots", "1.5", "integer"]),
+        ({"wind_enu": (0, 0)}, ["wind_enu", "required"]),
+        ({"wind_enu": (0, 0, math.nan)}, ["wind_enu.2", "nan", "finite"]),
+        ({"ris_mass_kg_per_m2": -1}, ["ris_mass_kg_per_m2", "-1"]),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line_that_names_it(fields, words):
@@ -104,3 +127,34 @@ def test_scenarios_do_not_change():
 def test_scenario_is_read_without_loading_torch():
     code = "import sys, rf_model.scenario; sys.exit('torch' in sys.modules or 'numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_set_of_path_losses_goes_by_its_name():
+    scenario = preset("physical_small", path_loss="3gpp")
+    assert scenario.path_loss.model_dump() == {
+        "bs_user": "tr38901_uma",
+        "bs_ris": "tr36777_uma_av",
+        "ris_user": "elevation",
+    }
+    assert make_scenario({"path_loss": "paper"}) == PRESETS["physical_1km"]
+
+
+def test_heights_outside_a_models_validity_are_taken_on_request():
+    fields = {"path_loss": "3gpp", "base_station_enu": (-1000, 0, 40), "user_height_m": 15}
+    fields |= {"box_enu": ((-1, 1), (-1, 1), (20, 60)), "extrapolate": True}
+    assert preset("physical_small", **fields).extrapolate
+
+
+def test_literal_reading_rates_the_next_slot():
+    assert [scenario.timing for scenario in PRESETS.values()] == ["post", "pre", "pre", "pre"]
+
+
+def test_the_panels_mass_is_flown_but_power_is_measured_by_the_bare_vehicle():
+    light, heavy = (preset("physical_small", ris_mass_kg_per_m2=density) for density in (0.0, 5.0))
+    side = 16 * heavy.wavelength_m / 2
+    assert heavy.ris_mass_kg == pytest.approx(5.0 * side**2)
+    assert heavy.wing.weight_n == pytest.approx(25 + 9.80665 * heavy.ris_mass_kg)
+    induced = math.sqrt(heavy.wing.weight_n / (2 * 1.225 * 0.503))
+    assert heavy.wing.induced_velocity_mps == pytest.approx(induced)
+    assert heavy.hover_power_w == light.hover_power_w
+    assert light.wing.weight_n == 25

@@ -305,3 +305,102 @@ def test_channels_belong_to_the_positions_told():
     h = np.array(messages[-1].ris_user[0]) @ [1, 1j]
     loss_db = 20 * math.log10(5) + 28 + 22 * math.log10(np.linalg.norm(user - position))
     assert np.abs(h) == pytest.approx(10 ** (-loss_db / 20), rel=0.01)
+
+
+def post(**changes):
+    return preset("physical_small", timing="post", **changes)
+
+
+def test_post_timing_rates_the_configuration_in_the_channels_of_the_next_opening():
+    scenario = post()
+    radio = SlotRadio(scenario, 1)
+    states, reports, configurations = [], [], []
+    for k in range(3):
+        messages = radio.open(opened(k))
+        states += [m for m in messages if isinstance(m, ChannelState)]
+        reports += [m for m in messages if isinstance(m, LinkReport)]
+        configurations += radio.apply(action(k))
+    for slot, report in enumerate(reports):
+        state, configuration = states[slot + 1], configurations[slot]
+        assert (report.slot, report.users_enu, report.position_enu) == (slot, state.users_enu, state.position_enu)
+        for j in range(J):
+            assert report.sinr[j] == pytest.approx(sinr_by_hand(state, configuration, j), rel=1e-9)
+    (last,) = radio.open(opened(3, closing=True))
+    assert last.slot == 2
+    pre = [m for m in fly(SlotRadio(SCENARIO, 1), 3) if isinstance(m, LinkReport)]
+    assert [m.power_w for m in pre] == [m.power_w for m in [*reports, last]]
+    assert all(ours.rate_bps != theirs.rate_bps for ours, theirs in zip([*reports, last], pre, strict=True))
+
+
+def sinr_by_hand(state, configuration, j) -> float:
+    h_b, H, h_s, W = (
+        np.array(x) @ [1, 1j] for x in (state.direct, state.bs_ris, state.ris_user, configuration.beamforming)
+    )
+    side = state.regions[j]
+    theta, beta = getattr(configuration, f"theta_{side}"), getattr(configuration, f"beta_{side}")
+    g = h_b[j] + (h_s[j] * beta * np.exp(1j * np.array(theta))) @ H
+    power = np.abs(g @ W) ** 2
+    return power[j] / (power.sum() - power[j] + SCENARIO.noise_w)
+
+
+def test_imperfect_csi_is_what_is_told_and_not_what_is_rated():
+    exact, noisy = SlotRadio(SCENARIO, 1), SlotRadio(preset("physical_small", csi_error_variance=0.5), 1)
+    for ours, theirs in zip(fly(exact), fly(noisy), strict=True):
+        if isinstance(ours, ChannelState):
+            assert ours.bs_ris != theirs.bs_ris
+            assert ours.regions == theirs.regions
+        else:
+            assert encode(ours) == encode(theirs)
+
+
+def test_stale_csi_is_that_of_earlier_slots():
+    exact, stale = SlotRadio(SCENARIO, 1), SlotRadio(preset("physical_small", csi_delay_slots=2), 1)
+    told = [[m for m in fly(radio, 5) if isinstance(m, ChannelState)] for radio in (exact, stale)]
+    for slot, state in enumerate(told[1]):
+        assert state.ris_user == told[0][max(0, slot - 2)].ris_user
+        assert state.users_enu == told[0][slot].users_enu
+
+
+def test_tilt_counts_only_when_it_is_flown():
+    tilted = {"attitude_rad": (0.1, -0.2, 0.0)}
+    level, flown_tilt = SlotRadio(SCENARIO, 1), SlotRadio(preset("physical_small", attitude="flown"), 1)
+    (upright,) = level.open(opened(0))
+    assert SlotRadio(SCENARIO, 1).open(opened(0, **tilted))[0].bs_ris == upright.bs_ris
+    (turned,) = flown_tilt.open(opened(0, **tilted))
+    assert turned.bs_ris != upright.bs_ris
+    assert turned.direct == upright.direct
+
+
+def test_independent_surface_takes_both_phases():
+    scenario = preset("physical_small", surface="independent")
+    radio = SlotRadio(scenario, 1)
+    (state,) = radio.open(opened(0))
+    theta = np.random.default_rng(1).uniform(-math.pi, math.pi, N).tolist()
+    (configuration,) = radio.apply(action(0, theta_transmission=theta))
+    assert configuration.source == "action"
+    assert configuration.theta_transmission == theta
+    report, _ = radio.open(opened(1))
+    for j in range(J):
+        assert report.sinr[j] == pytest.approx(sinr_by_hand(state, configuration, j), rel=1e-9)
+    (held,) = radio.apply(action(1))
+    assert (held.source, held.theta_transmission) == ("held", theta)
+    assert "theta_transmission: shape [0], the surface has 16 elements" in radio.rejections[0]
+
+
+@pytest.mark.parametrize("surface", ["dual", "conventional"])
+def test_other_surfaces_start_neutral_and_refuse_what_they_cannot_have(surface):
+    radio = SlotRadio(preset("physical_small", surface=surface), 1)
+    radio.open(opened(0))
+    (default,) = radio.apply(action(0))
+    assert default.source == "default"
+    assert "split_angle" in radio.rejections[0]
+    radio.open(opened(1))
+    (good,) = radio.apply(action(1, split_angle=default.split_angle, sign=[1] * N))
+    assert good.source == "action"
+
+
+def test_power_in_wind_is_that_of_the_velocity_through_the_air():
+    radio = SlotRadio(preset("physical_small", wind_enu=(4.0, 0.0, 0.0)), 1)
+    radio.open(opened(0))
+    report, _ = [m for m in radio.open(opened(1)) if not isinstance(m, RisConfiguration)]  # flown at (4, 0, 0)
+    assert report.power_w == pytest.approx(SCENARIO.hover_power_w)
