@@ -64,22 +64,30 @@ class Environment:
     With `attitude: flown` it leans as it would at the mean velocity of the slot before. What is observed of the
     channels follows from `csi_error_variance` and `csi_delay_slots`; rates are those of the channels themselves.
 
-    The same seed and batch size give the same episodes, bit for bit.
+    The same seed, batch size and device give the same episodes, bit for bit.
     """
 
-    def __init__(self, scenario: Scenario, batch: int, seed: int, acceleration_mps2: float | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        batch: int,
+        seed: int,
+        acceleration_mps2: float | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
         self.scenario = scenario
         self.batch = batch
         self.acceleration_mps2 = acceleration_mps2
-        self.generator = torch.Generator().manual_seed(seed)
-        self.normalisation = Normalisation.of(scenario)
+        self.device = torch.device(device)
+        self.generator = torch.Generator(self.device).manual_seed(seed)
+        self.normalisation = Normalisation.of(scenario, self.device)
         self.slot = 0
         self.world: World | None = None
         """None before the first `reset`."""
-        low, high = torch.tensor(scenario.box_enu).unbind(-1)
+        low, high = torch.tensor(scenario.box_enu, device=self.device).unbind(-1)
         self._low, self._high = low, high
-        self._start = torch.tensor(scenario.start_enu).expand(batch, 3)
-        self._yaw = torch.full((batch,), scenario.panel_heading_rad)
+        self._start = torch.tensor(scenario.start_enu, device=self.device).expand(batch, 3)
+        self._yaw = torch.full((batch,), scenario.panel_heading_rad, device=self.device)
         self._level = panel_frame(self._yaw)
         self._observed = Observed(scenario)
         coefficients = batch * (state_size(scenario) - 3) // 2
@@ -91,7 +99,7 @@ class Environment:
         self._observed.forget()
         users = initial_users(self.scenario, (self.batch,), self.generator)
         self._draw()
-        still = torch.zeros(self.batch, 3)
+        still = torch.zeros_like(self._start)
         return self._open(self._start, still, users, still)
 
     def step(self, raw: Tensor) -> Step:
@@ -136,7 +144,7 @@ class Environment:
         """Draw the fading and the users' headings for a block of slots, because many small draws cost most."""
         scenario, shape = self.scenario, (self._block, self.batch)
         self._fading: Fading = draw_fading(scenario, shape, self.generator, torch.float32)
-        self._walk = torch.randn((*shape, scenario.users), generator=self.generator)
+        self._walk = torch.randn((*shape, scenario.users), generator=self.generator, device=self.device)
 
     def _mean_power(self, before_enu: Tensor, after_enu: Tensor, flown_enu: Tensor, stopped: Tensor) -> Tensor:
         """Mean power of a slot [B] from the velocities [B, 3] at its ends and on average.

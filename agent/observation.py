@@ -31,11 +31,12 @@ class Normalisation:
     """N, M, J"""
 
     @classmethod
-    def of(cls, scenario: Scenario) -> "Normalisation":
+    def of(cls, scenario: Scenario, device: torch.device | None = None) -> "Normalisation":
+        """Those of a scenario, for positions on a device."""
         sizes = (scenario.elements, scenario.antennas, scenario.users)
         if scenario.state_norm == "raw":
-            return cls(torch.zeros(3), torch.ones(3), 1.0, 1.0, 1.0, sizes)
-        low, high = torch.tensor(scenario.box_enu).unbind(-1)
+            return cls(torch.zeros(3, device=device), torch.ones(3, device=device), 1.0, 1.0, 1.0, sizes)
+        low, high = torch.tensor(scenario.box_enu, device=device).unbind(-1)
         gains = reference_gains(scenario)
         return cls((low + high) / 2, (high - low) / 2, gains.bs_ris, gains.direct, gains.ris_user, sizes)
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from rf_model import path_loss
 from rf_model.arrays import line_response, literal_response, planar_response
 from rf_model.fading import rayleigh, rician_weights
-from rf_model.geometry import beyond_panel, horizontal_distance, offset_and_distance, panel_frame
+from rf_model.geometry import beyond_panel, constant, horizontal_distance, offset_and_distance, panel_frame
 from rf_model.scenario import Scenario
 
 BLOCKED_DB = 20.0
@@ -93,7 +93,7 @@ def line_of_sight_probability(elevation_sine: Tensor) -> Tensor:
 
 def link_gains(scenario: Scenario, position_enu: Tensor, users_enu: Tensor) -> LinkGains:
     """Gains for a vehicle [..., 3] and users [..., J, 3]."""
-    base_station = position_enu.new_tensor(scenario.base_station_enu)
+    base_station = constant(scenario.base_station_enu, position_enu.dtype, position_enu.device)
     _, to_base_station = offset_and_distance(position_enu, base_station)
     offset, to_users = offset_and_distance(position_enu.unsqueeze(-2), users_enu)
     elevation_sine = -offset[..., 2] / to_users
@@ -138,7 +138,7 @@ def faded_channels(
     """
     batch = position_enu.shape[:-1]
     J, M, N = scenario.users, scenario.antennas, scenario.elements
-    base_station = position_enu.new_tensor(scenario.base_station_enu)
+    base_station = constant(scenario.base_station_enu, position_enu.dtype, position_enu.device)
     ends = torch.cat((base_station.expand(*batch, 1, 3), users_enu), dim=-2)
     offset, distance = offset_and_distance(position_enu.unsqueeze(-2), ends)
     direction = offset / distance.unsqueeze(-1)

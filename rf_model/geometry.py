@@ -1,10 +1,19 @@
 """Where things lie as seen from the vehicle, in ENU metres with leading batch dimensions `...`."""
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor
 
 CLOSEST_M = 1.0
 """Distances are taken as at least this: the path-loss models mean nothing nearer, and coincident points stay finite."""
+
+
+@lru_cache(maxsize=64)
+def constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """A vector that does not change, kept because every slot asks for the same few."""
+    with torch.inference_mode(False):  # what is kept may be needed for gradients later
+        return torch.tensor(values, dtype=dtype, device=device)
 
 
 def offset_and_distance(start_enu: Tensor, end_enu: Tensor) -> tuple[Tensor, Tensor]:

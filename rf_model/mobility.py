@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rf_model.geometry import constant
 from rf_model.scenario import Scenario
 
 HEADING_NOISE_RAD = {"random": 0.5, "directional": 0.05}
@@ -102,5 +103,4 @@ def _sides(scenario: Scenario, device: torch.device, dtype: torch.dtype) -> Tens
     north = scenario.base_station_enu[1] - scenario.start_enu[1]
     facing = 1.0 if east * math.cos(heading) + north * math.sin(heading) >= 0 else -1.0
     first = scenario.reflection_count
-    sides = [facing] * first + [-facing] * (scenario.users - first)
-    return torch.tensor(sides, dtype=dtype, device=device)
+    return constant((facing,) * first + (-facing,) * (scenario.users - first), dtype, device)
