@@ -216,16 +216,16 @@ def _link_gains(
         )
     direct = path_loss.amplitude(direct_db + (scenario.direct_extra_db - scenario.bs_gain_db))
 
+    bs_ris_gain_db = scenario.bs_gain_db + scenario.ris_gain_db - scenario.element_loss_db
     bs_sight: Tensor | float = 1.0
     if models.bs_ris == "paper":
-        bs_los_db = bs_nlos_db = path_loss.paper_los_db(carrier, bs_distance)
+        bs_ris = bs_ris_blocked = path_loss.amplitude(path_loss.paper_los_db(carrier, bs_distance) - bs_ris_gain_db)
     else:
         aerial = path_loss.AERIAL[models.bs_ris]
         height = position_enu[..., 2]
-        bs_los_db = aerial.los_db(carrier, bs_distance, height)
-        bs_nlos_db = aerial.nlos_db(carrier, bs_distance, height)
+        bs_ris = path_loss.amplitude(aerial.los_db(carrier, bs_distance, height) - bs_ris_gain_db)
+        bs_ris_blocked = path_loss.amplitude(aerial.nlos_db(carrier, bs_distance, height) - bs_ris_gain_db)
         bs_sight = aerial.los_probability(horizontal_distance(base_station, position_enu), height)
-    bs_ris_gain_db = scenario.bs_gain_db + scenario.ris_gain_db - scenario.element_loss_db
 
     if models.ris_user == "paper":
         los_db = path_loss.paper_los_db(carrier, user_distance)
@@ -238,8 +238,8 @@ def _link_gains(
         los_db, blocked_db = free_db + los_excess, free_db + blocked_excess
     return LinkGains(
         direct=direct,
-        bs_ris=path_loss.amplitude(bs_los_db - bs_ris_gain_db),
-        bs_ris_blocked=path_loss.amplitude(bs_nlos_db - bs_ris_gain_db),
+        bs_ris=bs_ris,
+        bs_ris_blocked=bs_ris_blocked,
         bs_ris_sight=bs_sight,
         ris_user=path_loss.amplitude(los_db),
         ris_user_blocked=path_loss.amplitude(blocked_db),

@@ -10,7 +10,7 @@ LOWEST_RATE_BPS = 1.0
 def fair_rate_bps(rate_bps: Tensor) -> Tensor:
     """HFI times the sum rate, which is J^2 / sum(1 / R): J times the harmonic mean [bit/s]."""
     users = rate_bps.shape[-1]
-    return users**2 / (1.0 / rate_bps.clamp_min(LOWEST_RATE_BPS)).sum(-1)
+    return rate_bps.clamp_min(LOWEST_RATE_BPS).reciprocal().sum(-1).reciprocal() * users**2
 
 
 def hfi(rate_bps: Tensor) -> Tensor:

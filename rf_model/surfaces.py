@@ -27,6 +27,7 @@ from rf_model.star_ris import (
     Trc,
     TrcError,
     check_trc,
+    neutral_trc,
 )
 
 
@@ -89,8 +90,7 @@ class Coupled:
         return Trc(_phase(theta, self._bits), _split(split), torch.where(signs > 0, 1.0, -1.0))
 
     def neutral(self, dtype: torch.dtype) -> Trc:
-        zeros = torch.zeros(self._elements, dtype=dtype)
-        return Trc(zeros, zeros + math.pi / 4, zeros + 1)
+        return neutral_trc(self._elements, dtype)
 
     def check(self, trc: Coefficients) -> None:
         check_trc(trc, self._elements)
