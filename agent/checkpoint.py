@@ -101,6 +101,11 @@ def require_fit(path: Path, metadata: Metadata, scenario: Scenario) -> None:
         has, wants = getattr(metadata, name), getattr(scenario, name)
         if has != wants:
             raise CheckpointError(f"checkpoint {path}: trained with {name}{symbol} = {has}, the scenario has {wants}")
+    surface = metadata.scenario.get("surface", "coupled")  # which older checkpoints do not name
+    if surface != scenario.surface:
+        raise CheckpointError(
+            f"checkpoint {path}: trained with surface = {surface}, the scenario has {scenario.surface}"
+        )
 
 
 def _read(path: Path, *, weights: bool) -> Checkpoint:

@@ -54,6 +54,7 @@ def test_a_single_observation_needs_no_batch(saved):
         ({"users": 6}, "trained with users J = 4, the scenario has 6"),
         ({"motion": "spherical"}, "trained with motion = cartesian, the scenario has spherical"),
         ({"state_norm": "raw"}, "trained with state_norm = link_reference, the scenario has raw"),
+        ({"surface": "dual"}, "trained with surface = coupled, the scenario has dual"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_both_sides_named(saved, changes, text):
