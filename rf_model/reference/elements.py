@@ -1,4 +1,4 @@
-"""What the elements of a surface can do, in the reference's terms."""
+"""What the elements of a surface can do, in the reference's terms (`rf_model.surfaces` has the surfaces)."""
 
 from enum import IntEnum
 from typing import Literal, TypeAlias

@@ -5,9 +5,8 @@ import math
 import torch
 from torch import Tensor
 
-from rf_model.channels import LinkGains, line_of_sight_probability, link_gains
+from rf_model.channels import link_gains
 from rf_model.fairness import fair_rate_bps
-from rf_model.geometry import offset_and_distance
 from rf_model.link import rate_bps
 from rf_model.reward import reward
 from rf_model.scenario import Scenario
@@ -46,23 +45,12 @@ def proxy_fair_rate_bps(scenario: Scenario, position_enu: Tensor, users_enu: Ten
     Each user gets P_max / J and no interference; the surface gives K N^2 and the beams 0.6 M on the direct link.
     """
     gains = link_gains(scenario, position_enu, users_enu)
-    cascade = gains.bs_ris.unsqueeze(-1) ** 2 * _mean_ris_user_power(scenario, gains, position_enu, users_enu)
+    cascade = gains.bs_ris_power.unsqueeze(-1) * gains.ris_user_power
     gain = CASCADE_EFFICIENCY * scenario.elements**2 * cascade
     if scenario.direct == "on":
         gain = gain + DIRECT_EFFICIENCY * scenario.antennas * gains.direct**2
     budget = scenario.p_max_w if scenario.p_max == "per_user" else scenario.p_max_w / scenario.users
     return fair_rate_bps(rate_bps(gain * (budget / scenario.noise_w), scenario.bandwidth_hz))
-
-
-def _mean_ris_user_power(scenario: Scenario, gains: LinkGains, position_enu: Tensor, users_enu: Tensor) -> Tensor:
-    """Power gain from surface to users [..., J], averaged over their lines of sight."""
-    if scenario.ris_user == "los":
-        return gains.ris_user**2
-    if scenario.ris_user == "nlos":
-        return gains.ris_user_blocked**2
-    offset, distance = offset_and_distance(position_enu.unsqueeze(-2), users_enu)
-    clear = line_of_sight_probability(-offset[..., 2] / distance)
-    return clear * gains.ris_user**2 + (1 - clear) * gains.ris_user_blocked**2
 
 
 def _moves(scenario: Scenario, like: Tensor) -> Tensor:

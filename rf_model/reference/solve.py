@@ -1,7 +1,7 @@
 """The model-based reference: surface coefficients and beamforming of a slot whose channels are known."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -12,9 +12,9 @@ from torch import Tensor
 from rf_model.channels import Channels
 from rf_model.fairness import LOWEST_RATE_BPS
 from rf_model.link import check_beamforming
-from rf_model.reference.elements import Element
+from rf_model.reference.elements import Element, elements_of
 from rf_model.scenario import Scenario
-from rf_model.star_ris import Trc, TrcError
+from rf_model.star_ris import Coefficients, IndependentTrc, Trc
 
 Objective: TypeAlias = Literal["harmonic", "sum_rate"]
 OBJECTIVES: tuple[Objective, ...] = ("harmonic", "sum_rate")
@@ -36,21 +36,20 @@ class Solution:
     """W, complex [..., M, J] sqrt(W)."""
     utility_bps: Tensor
     """The objective at the start and after each iteration, float64 [..., iterations + 1]: it never falls."""
+    free_phases: bool
+    """Some element's phases are independent."""
 
     @property
-    def trc(self) -> Trc:
-        """The coefficients as angles and signs. Raises TrcError for those that no coupled surface has."""
+    def trc(self) -> Coefficients:
+        """The coefficients as angles: `Trc`, or `IndependentTrc` where phases are free."""
+        split = torch.atan2(self.reflection.abs(), self.transmission.abs())
+        if self.free_phases:
+            return IndependentTrc(torch.angle(self.reflection), split, torch.angle(self.transmission))
         beside = self.transmission * self.reflection.conj()
-        if (beside.real.abs() > 1e-5).any():
-            raise TrcError("coefficients: phases of reflection and transmission are not pi/2 apart")
         sign = torch.where(beside.imag >= 0, 1.0, -1.0).to(beside.real.dtype)
         from_transmission = self.transmission * torch.complex(torch.zeros_like(sign), -sign)
         larger = torch.where(self.reflection.abs() >= self.transmission.abs(), self.reflection, from_transmission)
-        return Trc(
-            theta_reflection=torch.angle(larger),
-            split_angle=torch.atan2(self.reflection.abs(), self.transmission.abs()),
-            sign=sign,
-        )
+        return Trc(torch.angle(larger), split, sign)
 
 
 def closed_form(scenario: Scenario, channels: Channels, elements: Tensor | None = None) -> Solution:
@@ -74,10 +73,12 @@ def solve(
     """Maximise the fair rate J^2 / sum(1 / R) (`harmonic`) or the sum rate over coefficients and beamforming.
 
     A strong local optimiser, nothing more: what it reaches is a reference for comparison. It takes SINR by powers
-    (`sinr: power`) and, of the scenario, the power limit, noise and bandwidth; sizes come from the channels, which may
-    also hold NumPy arrays. `elements` int64 [N] says what each can do (`Element`; default all coupled). The search
-    starts at the closed form, or at `coefficients` (phi_R, phi_T), complex [..., N], moved to the nearest that the
-    elements can do; with those, `beamforming` [..., M, J] may be given too and is where the beams start.
+    (`sinr: power`) and, of the scenario, the surface, power limit, noise and bandwidth; sizes come from the channels,
+    which may also hold NumPy arrays. `elements` int64 [N] says what each can do (`Element`), in place of the
+    scenario's surface. Phases are continuous whatever `phase_bits`; `quantised` rounds a solution.
+
+    The search starts at the closed form, or at `coefficients` (phi_R, phi_T), complex [..., N], moved to the nearest
+    that the elements can do; with those, `beamforming` [..., M, J] may be given too and is where the beams start.
 
     One row is solved on the calling thread without the interpreter lock, more by numba's threads; no row depends on
     another. Raises ReferenceInputError, and BeamformingError for beams that break the power limit.
@@ -85,6 +86,23 @@ def solve(
     if iterations < 0:
         raise ReferenceInputError(f"iterations: {iterations} is not allowed: must be 0 or more")
     return _solve(scenario, channels, iterations, objective, elements, coefficients, beamforming)
+
+
+def quantised(
+    scenario: Scenario, channels: Channels, solution: Solution, objective: Objective = "harmonic"
+) -> Solution:
+    """A solution for the scenario's surface with phases rounded to its `phase_bits`, and beams made anew for them.
+
+    `utility_bps` [..., 1] is what is left. With continuous phases, the solution itself. Arguments as for `solve`.
+    """
+    if scenario.phase_bits is None:
+        return solution
+    step = 2 * math.pi / 2**scenario.phase_bits
+    trc = solution.trc
+    rounded = replace(trc, theta_reflection=torch.round(trc.theta_reflection / step) * step)
+    if isinstance(rounded, IndependentTrc):
+        rounded = replace(rounded, theta_transmission=torch.round(rounded.theta_transmission / step) * step)
+    return _solve(scenario, channels, 0, objective, None, rounded.coefficients(), None)
 
 
 def _solve(
@@ -112,7 +130,7 @@ def _solve(
     H = np.ascontiguousarray(_rows(bs_ris, N, M).transpose(0, 2, 1)) * scale
     rows = len(h_b)
     side = transmission.reshape(rows, J).cpu().numpy().astype(np.int64)
-    element = np.full(N, int(Element.COUPLED)) if elements is None else _elements(elements, N)
+    element = _elements(elements_of(scenario.surface, N) if elements is None else elements, N)
 
     phi, beams = np.zeros((rows, 2, N), np.complex128), np.zeros((rows, J, M), np.complex128)
     start = kernel.FROM_CLOSED_FORM
@@ -148,6 +166,7 @@ def _solve(
         transmission=result(phi[:, kernel.TRANSMISSION], N),
         beamforming=result(W, M, J),
         utility_bps=torch.from_numpy(history * bandwidth).reshape(*batch_shape, history.shape[-1]).to(direct.device),
+        free_phases=bool((element == Element.INDEPENDENT).any()),
     )
 
 

@@ -15,9 +15,10 @@ from rf_model.channels import Channels, draw_channels
 from rf_model.link import BeamformingError, check_beamforming
 from rf_model.mobility import initial_users
 from rf_model.reference.elements import Element, elements_of
-from rf_model.reference.solve import ReferenceInputError, closed_form, solve
+from rf_model.reference.solve import ReferenceInputError, closed_form, quantised, solve
 from rf_model.scenario import preset
-from rf_model.star_ris import TrcError, check_trc
+from rf_model.star_ris import check_trc
+from rf_model.surfaces import surface_of
 from rf_model.world import slot_rates
 
 SCENARIO = preset("prototype_s4")
@@ -167,10 +168,28 @@ def test_independent_phases_started_at_the_coupled_solution_are_never_worse(obje
     assert independent.utility_bps[:, -1].mean() > reached.mean()
 
 
-def test_coefficients_that_are_not_coupled_are_not_passed_off_as_such():
-    independent = solve(SCENARIO, drawn_channels(SCENARIO), 3, elements=elements_of("independent", SCENARIO.elements))
-    with pytest.raises(TrcError, match="pi/2 apart"):
-        _ = independent.trc
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("bits", [None, 1, 2, 3])
+def test_solutions_are_what_the_scenarios_surface_can_show(kind, bits):
+    scenario = preset("prototype_s4", surface=kind, phase_bits=bits)
+    channels = drawn_channels(scenario)
+    free = solve(scenario, channels, 10)
+    solution = quantised(scenario, channels, free)
+    surface_of(scenario).check(solution.trc)
+    check_beamforming(solution.beamforming, scenario)
+    rates = slot_rates(scenario, channels, solution.trc, solution.beamforming)
+    torch.testing.assert_close(rates.fair_rate_bps, solution.utility_bps[:, -1], rtol=1e-6, atol=1e-3)
+    if bits is None:
+        assert solution is free
+
+
+def test_finer_phases_lose_less():
+    coarse, fine, free = (
+        quantised(scenario, channels, solve(scenario, channels, 20)).utility_bps[:, -1].mean()
+        for scenario in (preset("prototype_s4", phase_bits=bits) for bits in (1, 3, None))
+        for channels in (drawn_channels(scenario, (64,)),)
+    )
+    assert coarse < fine < free
 
 
 def test_surfaces_come_in_the_order_that_their_freedom_gives():

@@ -34,6 +34,21 @@ def test_episodes_are_the_same_for_the_same_seed_and_better_with_more_iterations
     assert (rewards[1] < rewards[2]).all()
 
 
+@pytest.mark.parametrize("change", [{"timing": "post"}, {"csi_error_variance": 0.3}, {"csi_delay_slots": 2}])
+def test_what_the_reference_does_not_know_costs_it(change):
+    scenario = preset("prototype_s4", slots=6)
+    known = episode_rewards(scenario, 32, 5, 10)
+    assert episode_rewards(preset("prototype_s4", slots=6, **change), 32, 5, 10).mean() < 0.9 * known.mean()
+
+
+@pytest.mark.parametrize(
+    "change", [{"surface": "dual"}, {"phase_bits": 2}, {"attitude": "flown"}, {"path_loss": "3gpp"}]
+)
+def test_episodes_fly_with_any_surface_and_switch(change):
+    rewards = episode_rewards(preset("physical_small", slots=3, **change), 4, 0, 3)
+    assert torch.isfinite(rewards).all()
+
+
 def sum_rate_world(seed, antennas=8, rows=10, columns=2, users=4):
     """No direct link, Rician 3 dB on both hops, base station at 50 m, users at 3 m, two on each side."""
     rng = np.random.default_rng(seed)
