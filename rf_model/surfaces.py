@@ -13,6 +13,7 @@ multiples of 2 pi / 2^bits (theta_T of a coupled element a quarter turn from one
 
 import math
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Protocol
 
@@ -55,7 +56,7 @@ class Surface(Protocol):
 
 def surface_of(scenario: Scenario) -> Surface:
     """The scenario's surface."""
-    return _SURFACES[scenario.surface](scenario.elements, scenario.phase_bits)
+    return _surface(scenario.surface, scenario.elements, scenario.phase_bits)
 
 
 def read_coefficients(
@@ -173,6 +174,12 @@ class Conventional(_FixedSplit):
 _SURFACES: Mapping[str, Callable[[int, int | None], Surface]] = MappingProxyType(
     {"coupled": Coupled, "independent": Independent, "dual": Dual, "conventional": Conventional}
 )
+
+
+@lru_cache(maxsize=64)
+def _surface(kind: str, elements: int, phase_bits: int | None) -> Surface:
+    with torch.inference_mode(False):  # what is kept may be needed for gradients later
+        return _SURFACES[kind](elements, phase_bits)
 
 
 def _below(dtype: torch.dtype) -> float:
