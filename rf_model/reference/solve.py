@@ -128,9 +128,12 @@ def _solve(
     scale = math.sqrt(scenario.p_max_w / scenario.noise_w)
     h_b, h_s = _rows(direct, J, M) * scale, _rows(ris_user, J, N)
     H = np.ascontiguousarray(_rows(bs_ris, N, M).transpose(0, 2, 1)) * scale
+    for name, link in (("direct", h_b), ("bs_ris", H), ("ris_user", h_s)):
+        if not np.isfinite(link).all():
+            raise ReferenceInputError(f"{name}: not finite")
     rows = len(h_b)
     side = transmission.reshape(rows, J).cpu().numpy().astype(np.int64)
-    element = _elements(elements_of(scenario.surface, N) if elements is None else elements, N)
+    element = elements_of(scenario.surface, N).numpy() if elements is None else _elements(elements, N)
 
     phi, beams = np.zeros((rows, 2, N), np.complex128), np.zeros((rows, J, M), np.complex128)
     start = kernel.FROM_CLOSED_FORM
@@ -171,7 +174,7 @@ def _solve(
 
 
 def _require_channels(channels: Channels) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The fields as tensors. Raises ReferenceInputError unless their shapes agree and they are finite."""
+    """The fields as tensors. Raises ReferenceInputError unless their shapes agree."""
     direct, bs_ris, ris_user, transmission = (
         torch.as_tensor(field) for field in (channels.direct, channels.bs_ris, channels.ris_user, channels.transmission)
     )
@@ -186,8 +189,6 @@ def _require_channels(channels: Channels) -> tuple[Tensor, Tensor, Tensor, Tenso
     for name, (field, shape) in shapes.items():
         if list(field.shape) != shape:
             raise ReferenceInputError(f"{name}: shape {list(field.shape)}, must be {shape}")
-        if not torch.isfinite(field).all():
-            raise ReferenceInputError(f"{name}: not finite")
     if 0 in (J, M, N):
         raise ReferenceInputError(f"channels: {J} users, {M} antennas, {N} elements; each must be 1 or more")
     return direct, bs_ris, ris_user, transmission
