@@ -39,25 +39,27 @@ _Item = VehicleState | SlotOpened | LinkReport | MissionEvent | tuple[str, bool]
 
 
 class FlightError(RuntimeError):
-    """The flight could not start; one line says why."""
+    """The flight could not start, or ended in an error; one line says why."""
 
 
 def fly(mission: Mission, console: Console) -> int:
     """Fly a checked mission and return the exit code; shows progress, table and run folder on `console`.
 
-    Raises MissionError when the run folder cannot be made, BusError when the bus cannot be opened, FlightError when a
-    node does not come up. No process is left behind, except for an embedded autopilot that a second Ctrl-C left in the
-    air: it lands by its failsafe and ends.
+    No process is left behind, except for an embedded autopilot that a second Ctrl-C left in the air: it lands by its
+    failsafe and ends. Raises MissionError when the run folder cannot be made, BusError when the bus cannot be opened,
+    FlightError when a node does not come up or the bridge ends in an error (exit code 1).
     """
     run = run_folder.make(mission)
     flight = _Flight(mission, run, console)
     with _interrupts(flight):
-        code = flight.run()
-        if flight.abandoned:
-            console.print(f"left to the autopilot's failsafe; recordings are in {run}", highlight=False, soft_wrap=True)
-            return code
-        if mission.record.mcap:
-            console.print(table(write(run)))
+        try:
+            code = flight.run()
+        except FlightError as error:
+            raise FlightError(f"{error}; logs are in {run / 'logs'}") from error
+        if mission.record.mcap and not flight.abandoned:
+            report = write(run)
+            if report.slots:
+                console.print(table(report))
     console.print(f"run folder: {run}", highlight=False, soft_wrap=True)
     return code
 
@@ -90,6 +92,8 @@ class _Flight:
         self._ended: MissionEvent | None = None
         self._why = ""
         """The last error or failsafe told."""
+        self._recorder: Recorder | None = None
+        self._recording_stopped = False
         self._interrupts = 0
         self._obeyed = 0
         self.abandoned = False
@@ -102,14 +106,14 @@ class _Flight:
         endpoint = free_endpoint()
         with ExitStack() as stack:
             session = stack.enter_context(open_session(listen=endpoint))
-            recorder = None
             if self._mission.record.mcap:
-                recorder = stack.enter_context(Recorder(session, self._mission.vehicle.name, self._run / LOG_NAME))
+                recorder = Recorder(session, self._mission.vehicle.name, self._run / LOG_NAME)
+                self._recorder = stack.enter_context(recorder)
             declared = self._declare(session)
             stack.callback(declared.clear)
             stack.callback(self._gather)
             stack.enter_context(self._view)
-            self._session, self._recorder = session, recorder
+            self._session = session
             self._start_nodes(endpoint)
             return self._watch()
 
@@ -173,7 +177,7 @@ class _Flight:
     def _gather(self) -> None:
         """End every process; an embedded autopilot that still flies gets the time to land."""
         loop = [node for name, node in self._nodes.items() if name != "sitl"]
-        end_all(loop, patience_s=GATHER_S if self._ended else 0.0)
+        end_all(loop, patience_s=GATHER_S if self._ended and self._started else 0.0)  # who never saw it fly, waits on
         sitl = self._nodes.get("sitl")
         if sitl is not None and not self.abandoned:
             end_all([sitl], patience_s=GATHER_S if self._ended and not self._armed else 0.0)
@@ -210,6 +214,7 @@ class _Flight:
             return ERROR
         if self._obeyed > 1:
             self.abandoned = True
+            self._view.note("Ctrl-C again: the nodes end, the vehicle is left to its autopilot's failsafe")
             return ERROR
         self._view.note("Ctrl-C: landing (once more: end now and leave the vehicle to its failsafe)")
         self._command("land")
@@ -239,8 +244,10 @@ class _Flight:
             code = FAILSAFE
         if code is None:
             code = bridge.exit_code or ERROR
-        if code != AS_PLANNED:
-            self._view.note(f"{'ended by failsafe' if code == FAILSAFE else 'error'}: {self._why or self._ended.text}")
+        if code == ERROR:
+            raise FlightError(self._why or self._ended.text)
+        if code == FAILSAFE:
+            self._view.note(f"ended safely, not as planned: {self._why}")
         return code
 
     def _bridge_lost(self, bridge: Node) -> int:
@@ -249,8 +256,7 @@ class _Flight:
             raise FlightError(_told(bridge))
         self._view.note(f"bridge: {how}; the autopilot's failsafe brings the vehicle down")
         if self._mission.embedded and not self._await_landing():
-            self._view.note(f"error: the vehicle was not down after {COME_DOWN_S:g} s")
-            return ERROR
+            raise FlightError(f"bridge: {how}; the vehicle was not down after {COME_DOWN_S:g} s")
         return FAILSAFE
 
     def _await_landing(self) -> bool:
@@ -290,6 +296,9 @@ class _Flight:
             except queue.Empty:
                 break
             self._take(item)
+        if self._recorder is not None and self._recorder.error is not None and not self._recording_stopped:
+            self._recording_stopped = True
+            self._view.note(f"recording stopped: {self._recorder.error}")
         self._view.show()
 
     def _take(self, item: _Item) -> None:

@@ -326,6 +326,14 @@ def test_an_endpoint_already_taken_is_an_error_that_names_it():
             open_session(listen=endpoint)
 
 
+def test_an_endpoint_that_is_none_is_an_error_that_names_it():
+    for arguments in ({"listen": "foo"}, {"connect": ["foo"]}):
+        with pytest.raises(BusError, match="foo") as caught:
+            open_session(**arguments)
+        assert "\n" not in str(caught.value)
+        assert ".rs" not in str(caught.value), "a place in zenoh's source helps nobody"
+
+
 def test_a_config_file_that_is_none_is_an_error_that_names_it(tmp_path):
     broken = tmp_path / "zenoh.json5"
     broken.write_text("{mode: 'sideways'}")
