@@ -113,7 +113,7 @@ def _trajectory(axes: Axes3D, flown: list[TrackSample], links: list[LinkReport],
     axes.set_xlim(-half, half)
     axes.set_ylim(-half, half)
     axes.set_zlim(0.0, top)
-    axes.set_box_aspect((1.0, 1.0, 0.55), zoom=1.05)
+    axes.set_box_aspect((1.0, 1.0, 0.55), zoom=1.15)
     if scenario is not None:
         _base_station(axes, scenario.base_station_enu, half)
     axes.view_init(elev=24, azim=-58)

@@ -7,6 +7,7 @@ import time
 import pytest
 
 from bus import topics
+from mission.transitions import transitions
 
 
 def outcomes(flight):
@@ -31,6 +32,8 @@ def test_without_restart_a_dead_agent_sends_the_vehicle_home(launch, short):
     links = log.by_slot(topics.LINK)
     assert links[max(links)].configuration == "held"
     assert log.messages(topics.STATE)[-1].landed
+    for transition in transitions(flight.run):
+        assert transition.reward == pytest.approx(links[transition.slot].reward, rel=1e-12), "held slots included"
     assert "no good action" in flight.text
     assert flight.report["exit_code"] == 3
 

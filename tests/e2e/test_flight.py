@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import shutil
 import struct
 import subprocess
 import sys
@@ -142,6 +143,17 @@ def test_a_fresh_rf_node_says_the_same_bit_for_bit(demo):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "all the same bit for bit" in done.stdout
+
+
+def test_a_replay_in_another_world_is_told_apart(demo, tmp_path):
+    shutil.copy(demo.run / "flight.mcap", tmp_path)
+    mission = (demo.run / "mission.yaml").read_text()
+    (tmp_path / "mission.yaml").write_text(mission.replace(f"seed: {demo.report['seed']}\n", "seed: 123456\n"))
+    done = subprocess.run(
+        [sys.executable, "-m", "mission", "replay", str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "the first is rf/csi of slot 0" in done.stdout
 
 
 def test_paced_five_times_as_fast_as_the_wall_clock(launch, short):
