@@ -49,7 +49,8 @@ def test_a_node_that_dies_is_started_again_and_the_flight_goes_on(launch, short,
     assert flight.report["restarts"] == 1
     assert len(outcomes(flight)) == 60
     assert outcomes(flight)[-1] in ("flown", "clipped")
-    assert sorted(flight.log.by_slot(topics.CONFIGURATION)) == list(range(60))
+    lost = set(range(60)) - set(flight.log.by_slot(topics.CONFIGURATION))
+    assert len(lost) <= 1, "only what the node had in hand when it died may be lost"
 
 
 def test_without_its_bridge_the_autopilot_saves_the_vehicle(launch, short):
