@@ -1,5 +1,6 @@
 """`aerialstar fly`: start the nodes, watch the flight, bring everything home, report."""
 
+import os
 import queue
 import signal
 import socket
@@ -154,6 +155,7 @@ class _Flight:
             *("--companion-port", str(companion_port), "--companion-bind", "0", "--gcs-bind", "0"),
             *(("--lockstep", "--control-port", "0") if lockstep else ()),
             *("--speed", str(FAILSAFE_SPEED if lockstep else mission.speed), "--exit-when-landed"),
+            *("--launcher", str(os.getpid())),
             *("--seed", str(mission.seed), "--system-id", str(mission.vehicle.system_id)),
             *(
                 part

@@ -108,3 +108,10 @@ def test_a_second_ctrl_c_leaves_the_vehicle_to_its_failsafe(launch, short):
     assert all("sitl" in command for command in left), "only the vehicle itself may still be there"
     flight.await_end()
     assert flight.log.complete
+
+
+def test_a_mission_killed_before_there_was_a_flight_leaves_nothing(launch, short):
+    flight = launch(short)
+    flight.node("rf")
+    flight.process.kill()
+    flight.await_end()
