@@ -142,7 +142,9 @@ class _Flight:
         for name in ("rf", "agent"):
             self._nodes[name] = Node(name, python("mission", name, *common), logs)
         if mission.clock == "lockstep":
-            bridge_options += ["--control", self._control_socket(self._nodes["sitl"])]
+            bridge_options += ["--control", self._await_printed(self._nodes["sitl"], "control ")]
+        elif mission.embedded:
+            self._await_printed(self._nodes["sitl"], "companion ")
         if mission.record.tlog:
             bridge_options += ["--tlog", str(self._run / "flight.tlog")]
         self._nodes["bridge"] = Node("bridge", python("mission", "bridge", *common, *bridge_options), logs)
@@ -164,17 +166,22 @@ class _Flight:
             ),
         )
 
-    def _control_socket(self, sitl: Node) -> str:
+    def _await_printed(self, sitl: Node, start: str) -> str:
+        """The line about a socket, which the SITL prints when it is ready: its flight model may have to compile."""
         deadline = time.monotonic() + START_S
-        while (address := sitl.printed("control ")) is None:
+        compiling = False
+        while (line := sitl.printed(start)) is None:
             if not sitl.running:
                 raise FlightError(_told(sitl))
             if self._interrupts:
                 raise FlightError("interrupted before the start")
             if time.monotonic() > deadline:
                 raise FlightError(f"sitl: not up after {START_S:g} s ({sitl.last_words})")
+            if not compiling and (what := sitl.printed("compiling ")) is not None:
+                compiling = True
+                self._view.note(f"sitl: compiling {what}")
             self._hear(0.02)
-        return address
+        return line
 
     def _gather(self) -> None:
         """End every process; an embedded autopilot that still flies gets the time to land."""
