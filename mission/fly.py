@@ -34,7 +34,11 @@ COME_DOWN_S = 600.0
 """Wall clock for the vehicle to come down by its failsafe."""
 FAILSAFE_SPEED = 10.0
 """How fast the embedded autopilot flies its failsafe after a lockstep flight lost its bridge: nobody's clock runs."""
+START_RETRY_S = 0.2
+"""Wall clock between two `start` commands, when the first was refused or not answered."""
 LOOP_NODES = ("bridge", "rf", "agent")
+BEFORE_START = ("connecting", "preflight", "ready", "ended")
+"""The bridge's phases in which no `start` need have been obeyed."""
 
 _Item = VehicleState | SlotOpened | LinkReport | MissionEvent | tuple[str, bool]
 
@@ -90,6 +94,10 @@ class _Flight:
         self._alive: set[str] = set()
         self._armed = False
         self._started = False
+        self._start_at = 0.0
+        """When to ask for the start again (monotonic clock)."""
+        self._unstarted = ""
+        """Why the last `start` was not taken."""
         self._ended: MissionEvent | None = None
         self._why = ""
         """The last error or failsafe told."""
@@ -207,15 +215,25 @@ class _Flight:
             if not bridge.running:
                 return self._bridge_over(bridge)
             self._check_others()
-            if not self._started and self._alive.issuperset(LOOP_NODES):
+            if not self._started and self._alive.issuperset(LOOP_NODES) and time.monotonic() >= self._start_at:
                 self._start_flight()
             if not self._started and time.monotonic() > deadline:
                 missing = ", ".join(name for name in LOOP_NODES if name not in self._alive)
-                raise FlightError(f"not on the bus after {START_S:g} s: {missing}")
+                raise FlightError(
+                    f"not on the bus after {START_S:g} s: {missing}"
+                    if missing
+                    else f"not started after {START_S:g} s: {self._unstarted}"
+                )
 
     def _start_flight(self) -> None:
-        self._command("start")
-        self._started = True
+        """Ask for the start; a bridge that says no, or nothing, is asked again later."""
+        why_not = self._command("start")
+        if why_not is None:
+            self._started = True
+            return
+        if why_not != self._unstarted:
+            self._view.note(why_not)
+        self._unstarted, self._start_at = why_not, time.monotonic() + START_RETRY_S
 
     def _interrupted(self) -> int | None:
         if not self._started:
@@ -226,21 +244,22 @@ class _Flight:
             self._view.note("Ctrl-C again: the nodes end, the vehicle is left to its autopilot's failsafe")
             return ERROR
         self._view.note("Ctrl-C: landing (once more: end now and leave the vehicle to its failsafe)")
-        self._command("land")
+        why_not = self._command("land")
+        if why_not is not None:
+            self._view.note(why_not)
         return None
 
-    def _command(self, name: CommandName) -> None:
+    def _command(self, name: CommandName) -> str | None:
+        """Ask the bridge for something; why it will not do it, or None when it will."""
         command = Command(name=name)
         try:
             reply = topics.send_command(self._session, self._mission.vehicle.name, command)
-        except TimeoutError as error:
-            self._view.note(str(error))
-            return
+        except (TimeoutError, topics.RefusedError) as error:
+            return str(error)
         if self._recorder is not None:
             self._recorder.command(command)
             self._recorder.command(reply)
-        if not reply.accepted:
-            self._view.note(f"{name} was refused: {reply.reason}")
+        return None if reply.accepted else f"{name} was refused: {reply.reason}"
 
     def _bridge_over(self, bridge: Node) -> int:
         deadline = time.monotonic() + 1.0
@@ -314,6 +333,7 @@ class _Flight:
         match item:
             case VehicleState():
                 self._armed = item.armed
+                self._started |= item.phase not in BEFORE_START  # also when the answer to `start` was lost
                 self._view.state(item)
             case SlotOpened():
                 self._view.slot(item)
