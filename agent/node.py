@@ -34,8 +34,8 @@ def run(
 ) -> int:
     """Answer channel states with actions; returns the exit code.
 
-    The same channel states and seed give the same actions, also after a restart. `until_ended` ends the node at the
-    bridge's last event or when the bridge is gone; else it runs until interrupted. A channel state of other sizes
+    The same channel states and seed give the same actions, also after a restart. `until_ended` ends the node with
+    the flight (`bus.topics.watch_end`); else it runs until interrupted. A channel state of other sizes
     than the scenario's, or a policy that gives no finite action, is counted and not answered: the bridge then holds.
     Raises CheckpointError when the policy cannot be loaded.
     """
@@ -46,25 +46,15 @@ def run(
     refused: Counter[str] = Counter()
     inbox: Inbox = queue.SimpleQueue()
 
-    def on_event(event: m.MissionEvent) -> None:
-        if event.kind == "ended":
-            inbox.put("ended")
-
-    def on_alive(node: str, alive: bool) -> None:
-        if node == "bridge" and not alive:
-            inbox.put("ended")
-
     actions = topics.Publisher(session, vehicle, topics.ACTION)
     health = topics.Publisher(session, vehicle, topics.HEALTH)
     held = [topics.subscribe(session, vehicle, topics.CSI, inbox.put, refused)]
     if until_ended:
-        held.append(topics.subscribe(session, vehicle, topics.EVENT, on_event, refused))
-        held.append(topics.watch_alive(session, vehicle, on_alive))
+        held += topics.watch_end(session, vehicle, lambda: inbox.put("ended"))
     held.append(topics.declare_alive(session, vehicle, NODE))
 
     def report_health() -> None:
-        counts = {**counters, **{f"refused {topic}": count for topic, count in refused.items()}}
-        health.send(m.NodeHealth(node=NODE, wall_time_s=time.time(), counters=counts))
+        health.send(topics.health(NODE, counters, refused))
 
     next_health = time.monotonic()
     try:
@@ -91,7 +81,8 @@ def run(
                 counters["not_finite"] += 1
     finally:
         report_health()
-        held.clear()
+        for declared in held:
+            declared.undeclare()
 
 
 def _message(csi: m.ChannelState, source: str, raw: torch.Tensor, action: PhysicalAction) -> m.Action:

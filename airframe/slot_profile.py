@@ -76,7 +76,7 @@ def reach(
     `acceleration` [m/s2] limits the ramp. `velocity` should lie within the speed limits: then so does every velocity of
     the profile.
     """
-    wanted = _within_speed(displacement / slot_s, limits) * slot_s
+    wanted = _within_speed(displacement, slot_s, limits)
     limited_by = []
     if not np.array_equal(wanted[:2], displacement[:2]):
         limited_by.append("speed")
@@ -107,11 +107,12 @@ def brake(position: Vector, velocity: Vector, acceleration: float) -> SlotProfil
     return SlotProfile(position, velocity, velocity * (-acceleration / speed), speed / acceleration)
 
 
-def _within_speed(velocity: Vector, limits: SpeedLimits) -> Vector:
-    """Horizontal part shortened to its limit, vertical part clipped to its own."""
-    horizontal = float(np.hypot(velocity[0], velocity[1]))
-    shorter = limits.horizontal / horizontal if horizontal > limits.horizontal else 1.0
-    return np.array([velocity[0] * shorter, velocity[1] * shorter, np.clip(velocity[2], -limits.down, limits.up)])
+def _within_speed(displacement: Vector, slot_s: float, limits: SpeedLimits) -> Vector:
+    """Horizontal part shortened to what its limit allows in a slot, vertical part clipped to its own."""
+    horizontal, furthest = float(np.hypot(displacement[0], displacement[1])), limits.horizontal * slot_s
+    shorter = furthest / horizontal if horizontal > furthest else 1.0
+    climb = np.clip(displacement[2], -limits.down * slot_s, limits.up * slot_s)
+    return np.array([displacement[0] * shorter, displacement[1] * shorter, climb])
 
 
 def _speed_room(velocity: Vector, direction: Vector, limits: SpeedLimits) -> float:

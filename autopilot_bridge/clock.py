@@ -4,10 +4,12 @@ import time
 from typing import Protocol
 
 from autopilot_bridge.link import ControlLine
-from autopilot_bridge.vehicle import Vehicle
+from autopilot_bridge.vehicle import SilentError, Vehicle
 
 TELEMETRY_WALL_S = 0.5
 """How long a lockstep step's telemetry may take to arrive before it counts as lost."""
+WENT_BACK_S = 1.0
+"""Telemetry this much older than the newest is no late datagram: the autopilot has started anew."""
 UNHEARD_S = 0.1
 """Vehicle time is carried on over this long [s of vehicle time] without telemetry, then it stands still."""
 
@@ -60,7 +62,8 @@ class Paced:
     """The autopilot's own clock, read from its telemetry, `speed` times as fast as the wall clock.
 
     A step ends when vehicle time reaches the next multiple of the step, so steps do not drift against it. When the
-    telemetry stops, vehicle time stops; steps then take a wall-clock step each, so that silence can be noticed.
+    telemetry stops, vehicle time stops; steps then take a wall-clock step each, so that silence can be noticed. When it
+    goes back, a step raises SilentError, once: the vehicle that we knew is gone, and time goes on with the new one's.
     """
 
     frozen_between_steps = False
@@ -92,6 +95,13 @@ class Paced:
         """The autopilot's clock goes on without us."""
 
     def _estimate(self, vehicle: Vehicle) -> float:
-        if vehicle.telemetry.time_s != self._telemetry_s:
-            self._telemetry_s, self._heard_at = vehicle.telemetry.time_s, time.monotonic()
+        told_s = vehicle.telemetry.time_s
+        if told_s < self._telemetry_s - WENT_BACK_S:
+            before_s, self._telemetry_s, self._heard_at = self._telemetry_s, told_s, time.monotonic()
+            self._steps = int(told_s * 1000 / self._step_ms)
+            raise SilentError(
+                f"the autopilot's clock went back from {before_s:.1f} to {told_s:.1f} s: it has restarted"
+            )
+        if told_s != self._telemetry_s:
+            self._telemetry_s, self._heard_at = told_s, time.monotonic()
         return self._telemetry_s + min((time.monotonic() - self._heard_at) * self._speed, UNHEARD_S)

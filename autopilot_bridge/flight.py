@@ -200,6 +200,7 @@ class Flight:
                 self._enter("slots")
                 while not self._slots.closed:
                     self._step()
+                self._vehicle.hear_mode()  # who took over in the last moment keeps it
                 return
             except _Yielded:
                 self._await_resume()
@@ -214,6 +215,7 @@ class Flight:
         until = self._clock.now + self._dialect.stream_before_offboard_s
         while self._clock.now < until:
             self._step()
+        self._vehicle.hear_mode()
         self._vehicle.set_mode(Mode.OFFBOARD)
         self._expected = {Mode.OFFBOARD}
 
@@ -251,6 +253,7 @@ class Flight:
     def _await_link(self, error: SilentError) -> _End:
         """The link is dead, the vehicle is its failsafe's. Raises SilentError when the link stays dead."""
         self._release()
+        self._expected = set()
         self._enter("yielded")
         self._tell("failsafe", f"{error}: no setpoints, the autopilot's own failsafe acts")
         heard, patience = self._vehicle.heard, time.monotonic() + LINK_BACK_WALL_S
@@ -262,33 +265,44 @@ class Flight:
         return _End(None, FAILSAFE, "the link was lost")
 
     def _come_down(self, ending: _End) -> int:
-        """Return or land, and wait for the ground. Pilots are obeyed here too: nothing is asked for twice."""
+        """Return or land, and wait for the ground.
+
+        Pilots are obeyed here too: nothing is asked for twice, and what others land is for them to disarm. What the
+        autopilot refuses is left to its failsafe, since no setpoints come any more.
+        """
         self._release()
         vehicle, code, mode = self._vehicle, ending.code, ending.mode
+        ours = mode is not None
+        if not ours:
+            self._expected = set()
         until, landed_s = self._clock.now + COME_DOWN_S, self._clock.now
         while not self.down:
             try:
                 if mode is not None:
-                    wanted, mode = mode, None
+                    wanted, mode, ours = mode, None, True
                     self._bring_down(wanted)
+                elif ours and self._clock.now - landed_s > DISARM_S:
+                    vehicle.disarm()
                 self._step()
             except _End as end:
                 mode, code = end.mode, max(code, end.code)
             except _Yielded:
-                code = max(code, FAILSAFE)
+                ours, code = False, max(code, FAILSAFE)
                 self._enter("yielded")
             except SilentError as error:
-                mode, code = None, max(code, self._await_link(error).code)
+                ours, mode, code = False, None, max(code, self._await_link(error).code)
+            except VehicleError as error:
+                landed_s, code = self._clock.now, max(code, FAILSAFE)
+                self._tell("error", f"{error}: left to the autopilot's own failsafe")
             if not vehicle.telemetry.landed:
                 landed_s = self._clock.now
-            if self._clock.now - landed_s > DISARM_S:
-                vehicle.disarm()
             if self._clock.now > until:
                 raise VehicleError(f"not on the ground {COME_DOWN_S:g} s after it was told to come down")
         return code
 
     def _bring_down(self, mode: Mode) -> None:
-        self._expected = set()
+        self._vehicle.hear_mode()
+        self._expected = self._expected | {self._vehicle.telemetry.mode, Mode.RETURN, Mode.LAND}
         self._enter("returning" if mode is Mode.RETURN else "landing")
         try:
             self._vehicle.set_mode(mode)
@@ -301,8 +315,8 @@ class Flight:
         self._expected = {Mode.RETURN, Mode.LAND}
 
     def _release(self) -> None:
-        """No setpoints, no slots, and every mode is fine."""
-        self._guide, self._slots, self._expected, self._flying = None, None, set(), False
+        """No setpoints, no slots."""
+        self._guide, self._slots, self._flying = None, None, False
 
     # One step of vehicle time.
 
@@ -448,7 +462,7 @@ class Flight:
         match name:
             case "start" if self._started:
                 return "already started"
-            case "hold" if phase not in ("transit", "slots"):
+            case "hold" if phase not in ("takeoff", "transit", "slots", "holding"):
                 return f"nothing to hold in phase {phase}"
             case "resume" if phase not in ("holding", "yielded") or not self._flying:
                 return f"nothing to resume in phase {phase}"

@@ -52,7 +52,7 @@ class Ground:
             yield
         finally:
             for declared in held:
-                declared.undeclare()  # type: ignore[attr-defined]  # the bus hands them out as opaque objects
+                declared.undeclare()
 
     @property
     def malformed_actions(self) -> int:
@@ -70,8 +70,7 @@ class Ground:
         if wall - self._health_at < HEALTH_WALL_S and not final:
             return
         self._health_at = wall
-        both = counters + Counter({f"refused_{name}": count for name, count in self.refused.items()})
-        self._health.send(m.NodeHealth(node="bridge", wall_time_s=time.time(), counters=dict(both)))
+        self._health.send(topics.health("bridge", counters, self.refused))
 
     def _answer(self, command: m.Command) -> m.CommandReply:
         reason = self.objection(command.name)

@@ -27,10 +27,10 @@ def run(config: BridgeConfig, vehicle: str, session: zenoh.Session, tlog: Path |
     Ctrl-C lands; the second ends the process and leaves the vehicle to the autopilot's failsafe.
     """
     ground = Ground(session, vehicle)
-    with ground.served(), _interrupted_by(lambda: ground.commands.put("land")):
+    with contextlib.ExitStack() as served, _interrupted_by(lambda: ground.commands.put("land")):
         try:
             with contextlib.closing(Link(config.autopilot, config.system_id, tlog)) as link:
-                code = _fly(config, ground, link)
+                code = _fly(config, ground, link, served)
         except LinkError as error:
             ground.tell("error", str(error))
             code = ERROR
@@ -38,13 +38,15 @@ def run(config: BridgeConfig, vehicle: str, session: zenoh.Session, tlog: Path |
         return code
 
 
-def _fly(config: BridgeConfig, ground: Ground, link: Link) -> int:
+def _fly(config: BridgeConfig, ground: Ground, link: Link, served: contextlib.ExitStack) -> int:
+    """Alive on the bus only once a flight is there to take commands."""
     dialect = DIALECTS[config.dialect]
     clock = _clock(config)
     ground.now = lambda: clock.now
     flight = Flight(
         config, dialect, ground, clock, lambda wait: PymavlinkVehicle(link, dialect, config.system_id, clock, wait)
     )
+    served.enter_context(ground.served())
     code = flight.run()
     with contextlib.suppress(LinkError):  # a SITL that is gone needs no farewell
         clock.close(over=flight.down)

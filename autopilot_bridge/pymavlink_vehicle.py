@@ -27,6 +27,10 @@ RETRY_S = 0.5
 TRIES = 6
 ARMABLE_S = 60.0
 TAKEOFF_S = 60.0
+MODE_NEWS_S = 0.15
+"""A mode heard this short a time ago is the vehicle's."""
+MODE_WAIT_S = 1.5
+"""An autopilot that will not send HEARTBEAT faster does so once a second."""
 VELOCITY_AND_YAW = 2503
 """SET_POSITION_TARGET_LOCAL_NED type_mask: position, acceleration and yaw rate ignored."""
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -45,6 +49,8 @@ class PymavlinkVehicle(Vehicle):
         self._home_held = False
         self._homes = 0
         self._heartbeats = 0
+        self._heartbeat_s = -math.inf
+        """Vehicle time of the last one."""
         self._heard = 0
         self._texts: list[str] = []
         self._texts_told = 0
@@ -128,9 +134,8 @@ class PymavlinkVehicle(Vehicle):
                 self.set_mode(Mode.HOLD)
         if self._until(lambda: self._telemetry.armable and self._homes > 0, ARMABLE_S):
             return
-        self.arm()  # is refused, and that makes the autopilot say why
-        self.disarm()
-        raise RefusedError(f"autopilot arms, but does not call itself ready after {ARMABLE_S:g} s")
+        if not self._homes:
+            raise VehicleError(f"autopilot at {self._link.url}: no HOME_POSITION within {ARMABLE_S:g} s")
 
     def arm(self) -> None:
         self._command("arm", lambda: self._telemetry.armed, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
@@ -155,6 +160,9 @@ class PymavlinkVehicle(Vehicle):
         self._command("takeoff", climbing, mavlink.MAV_CMD_NAV_TAKEOFF, *[math.nan] * 7)
         if not self._until(there, TAKEOFF_S):
             raise VehicleError(f"takeoff: not at {altitude_m:g} m and holding after {TAKEOFF_S:g} s")
+
+    def hear_mode(self) -> None:
+        self._until(lambda: self._clock.now - self._heartbeat_s <= MODE_NEWS_S, MODE_WAIT_S)
 
     def set_mode(self, mode: Mode) -> None:
         command: tuple[float, ...]
@@ -230,6 +238,7 @@ class PymavlinkVehicle(Vehicle):
             self.counters["other_autopilot"] += 1
             return
         self._heartbeats += 1
+        self._heartbeat_s = self._clock.now
         mode, name = self._dialect.modes.get(message.custom_mode, (Mode.OTHER, f"custom mode {message.custom_mode:#x}"))
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         self._telemetry = replace(self._telemetry, mode=mode, mode_name=name, armed=armed)

@@ -53,7 +53,8 @@ class Telemetry:
     mode_name: str = "unknown"
     """As the autopilot calls it."""
     armed: bool = False
-    landed: bool = True
+    landed: bool = False
+    """Only once the autopilot says so."""
     armable: bool = False
     battery_remaining: float | None = None
     """0 to 1."""
@@ -110,7 +111,10 @@ class Vehicle(ABC):
 
     @abstractmethod
     def await_armable(self) -> None:
-        """Wait until the autopilot's own checks pass. Raises RefusedError with its reasons."""
+        """Wait a minute at most for the autopilot's own checks to pass; if they do not, `arm` is refused with reasons.
+
+        Raises VehicleError when there is no home to count positions from.
+        """
 
     @abstractmethod
     def arm(self) -> None:
@@ -123,6 +127,10 @@ class Vehicle(ABC):
     @abstractmethod
     def takeoff(self, altitude_m: float) -> None:
         """Climb to `altitude_m` above home and hover there; returns once there. Raises VehicleError."""
+
+    @abstractmethod
+    def hear_mode(self) -> None:
+        """Wait until the mode in `telemetry` is news, so that nobody's newer choice is overruled unseen."""
 
     @abstractmethod
     def set_mode(self, mode: Mode) -> None:

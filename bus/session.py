@@ -6,6 +6,7 @@ from a zenoh config file.
 """
 
 import json
+import re
 import socket
 from collections.abc import Sequence
 from pathlib import Path
@@ -44,17 +45,24 @@ def open_session(
         try:
             config = zenoh.Config.from_file(str(config_file))
         except zenoh.ZError as error:
-            raise BusError(f"zenoh config {config_file}: {error}") from error
-        if connect:
-            config.insert_json5("connect/endpoints", json.dumps(list(connect)))
+            raise BusError(f"zenoh config {config_file}: {_why(error)}") from error
         tried = f"config {config_file}"
     else:
-        config = default_config(listen, connect)
+        config = default_config()
         tried = f"listen {listen}, connect {', '.join(connect) or 'nothing'}"
     try:
+        if config_file is None:
+            config.insert_json5("listen/endpoints", json.dumps([listen]))
+        if connect:
+            config.insert_json5("connect/endpoints", json.dumps(list(connect)))
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise BusError(f"zenoh endpoint refused ({tried}): {error}") from error
+        raise BusError(f"zenoh endpoint refused ({tried}): {_why(error)}") from error
+
+
+def _why(error: zenoh.ZError) -> str:
+    """In one line, without the place in zenoh's source."""
+    return re.sub(r" at /\S+\.rs:\d+\.?", "", " ".join(str(error).split()))
 
 
 def free_endpoint() -> str:

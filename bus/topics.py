@@ -4,10 +4,11 @@ Key expressions are `star/<vehicle>/<topic>`; see `docs/architecture.md` for who
 """
 
 import re
+import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 import zenoh
@@ -46,6 +47,12 @@ EVENT = Topic("event", m.MissionEvent)
 HEALTH = Topic("health", m.NodeHealth)
 
 TOPICS: tuple[Topic[Any], ...] = (STATE, SLOT, CSI, ACTION, CONFIGURATION, LINK, EVENT, HEALTH)
+
+
+class Declared(Protocol):
+    """Something held open on a session for as long as it is wanted."""
+
+    def undeclare(self) -> None: ...
 
 
 class RefusedError(ValueError):
@@ -114,7 +121,7 @@ def subscribe(
     topic: Topic[M],
     receive: Callable[[M], None],
     refused: Counter[str],
-) -> object:
+) -> Declared:
     """Call `receive` with every good message of a topic, in order, on zenoh's thread.
 
     Bad payloads are counted in `refused[topic.name]` and go no further. `cached` topics deliver the last message
@@ -155,7 +162,7 @@ def answer_commands(
     vehicle: str,
     answer: Callable[[m.Command], m.CommandReply],
     refused: Counter[str],
-) -> object:
+) -> Declared:
     """Serve the command queryable; `answer` runs on zenoh's thread and must not block for long."""
     keyexpr = key(vehicle, COMMAND)
 
@@ -172,15 +179,41 @@ def answer_commands(
     return session.declare_queryable(keyexpr, on_query)
 
 
-def declare_alive(session: zenoh.Session, vehicle: str, node: str) -> object:
+def declare_alive(session: zenoh.Session, vehicle: str, node: str) -> Declared:
     """Liveliness token of a node; it drops when the process dies."""
     return session.liveliness().declare_token(key(vehicle, f"{ALIVE}/{node}"))
 
 
-def watch_alive(session: zenoh.Session, vehicle: str, changed: Callable[[str, bool], None]) -> object:
+def watch_alive(session: zenoh.Session, vehicle: str, changed: Callable[[str, bool], None]) -> Declared:
     """Call `changed(node, alive)` when nodes come (those already there included) and go."""
 
     def on_sample(sample: zenoh.Sample) -> None:
         changed(str(sample.key_expr).rsplit("/", 1)[-1], sample.kind == zenoh.SampleKind.PUT)
 
     return session.liveliness().declare_subscriber(key(vehicle, f"{ALIVE}/*"), on_sample, history=True)
+
+
+def watch_end(session: zenoh.Session, vehicle: str, ended: Callable[[], None]) -> list[Declared]:
+    """Call `ended` when the flight is over: the bridge says so or is gone, or the mission went before a bridge came.
+
+    It may be called more than once, on zenoh's thread.
+    """
+    bridge_seen = False
+
+    def on_event(event: m.MissionEvent) -> None:
+        if event.kind == "ended":
+            ended()
+
+    def on_alive(node: str, alive: bool) -> None:
+        nonlocal bridge_seen
+        bridge_seen |= node == "bridge"
+        if not alive and (node == "bridge" or (node == "mission" and not bridge_seen)):
+            ended()
+
+    return [subscribe(session, vehicle, EVENT, on_event, Counter()), watch_alive(session, vehicle, on_alive)]
+
+
+def health(node: str, counters: Mapping[str, int], refused: Mapping[str, int]) -> m.NodeHealth:
+    """A node's counters now, with the bad payloads it refused by topic."""
+    counted = {**counters, **{f"refused {topic}": count for topic, count in refused.items()}}
+    return m.NodeHealth(node=node, wall_time_s=time.time(), counters=counted)

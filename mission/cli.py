@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer.exceptions import TyperException
 
 from sitl.cli import sitl
 
 if TYPE_CHECKING:
     import zenoh
+
+    from mission.mission_file import Mission
 
 ERROR, BAD_INPUT = 1, 2
 
@@ -22,8 +25,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command(name="sitl")(sitl)
-
 MissionOption = Annotated[Path, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")]
 VehicleOption = Annotated[str | None, typer.Option(metavar="NAME", help="Vehicle on the bus; else the mission's.")]
 ConnectOption = Annotated[
@@ -67,6 +68,9 @@ def fly(
         raise typer.Exit(fly_mission(loaded, Console()))
 
 
+app.command(name="sitl")(sitl)
+
+
 @app.command()
 def rf(
     mission: MissionOption,
@@ -78,10 +82,9 @@ def rf(
 ) -> None:
     """Run the radio node alone: users, channels, rates."""
     with _one_line_errors():
-        from mission.mission_file import action_deadline_s, load
+        from mission.mission_file import action_deadline_s
 
-        loaded = load(mission, vehicle_name=vehicle)
-        with _session(zenoh_config, connect, listen) as session:
+        with _on_the_bus(mission, vehicle, zenoh_config, connect, listen) as (loaded, session):
             from rf_model.node import run
 
             code = run(
@@ -106,10 +109,7 @@ def agent(
 ) -> None:
     """Run the agent node alone: one action for every channel state."""
     with _one_line_errors():
-        from mission.mission_file import load
-
-        loaded = load(mission, vehicle_name=vehicle)
-        with _session(zenoh_config, connect, listen) as session:
+        with _on_the_bus(mission, vehicle, zenoh_config, connect, listen) as (loaded, session):
             from agent.node import run
 
             code = run(
@@ -146,13 +146,12 @@ def bridge(
     """
     del until_ended
     with _one_line_errors():
-        from mission.mission_file import bridge_config, load
+        from mission.mission_file import bridge_config
 
-        loaded = load(mission, vehicle_name=vehicle)
-        config = bridge_config(loaded, autopilot=autopilot, control=control, autostart=autostart)
-        with _session(zenoh_config, connect, listen) as session:
+        with _on_the_bus(mission, vehicle, zenoh_config, connect, listen) as (loaded, session):
             from autopilot_bridge.node import run
 
+            config = bridge_config(loaded, autopilot=autopilot, control=control, autostart=autostart)
             code = run(config, loaded.vehicle.name, session, tlog)
         raise typer.Exit(code)
 
@@ -213,11 +212,16 @@ def replay(run: RunArgument) -> None:
 
 
 @contextmanager
-def _session(config: Path | None, connect: list[str] | None, listen: str) -> "Iterator[zenoh.Session]":
+def _on_the_bus(
+    mission: Path, vehicle: str | None, config: Path | None, connect: list[str] | None, listen: str
+) -> "Iterator[tuple[Mission, zenoh.Session]]":
+    """What a node needs: the mission and a session."""
     from bus.session import open_session
+    from mission.mission_file import load
 
+    loaded = load(mission, vehicle_name=vehicle)
     with open_session(config, connect or (), listen) as session:
-        yield session
+        yield loaded, session
 
 
 @contextmanager
@@ -260,5 +264,10 @@ def _fail(text: str, code: int) -> None:
 
 
 def main() -> None:
-    """Entry point."""
-    app()
+    """Entry point. What the command line itself gets wrong is one line and exit code 2, too."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except TyperException as error:
+        if error.format_message():  # none where the help was printed instead
+            print(f"error: {error.format_message()}", file=sys.stderr)
+        sys.exit(BAD_INPUT)

@@ -40,6 +40,7 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 8,
 }
+LINES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 
 
@@ -112,7 +113,7 @@ def _trajectory(axes: Axes3D, flown: list[TrackSample], links: list[LinkReport],
     axes.set_xlim(-half, half)
     axes.set_ylim(-half, half)
     axes.set_zlim(0.0, top)
-    axes.set_box_aspect((1.0, 1.0, 0.55), zoom=1.05)
+    axes.set_box_aspect((1.0, 1.0, 0.55), zoom=1.15)
     if scenario is not None:
         _base_station(axes, scenario.base_station_enu, half)
     axes.view_init(elev=24, azim=-58)
@@ -138,15 +139,22 @@ def _rates(axes: Axes, links: list[LinkReport], qos_bps: float, start_s: float) 
     axes.set_title("Rate of each user")
     axes.set_ylabel("[kbit/s]")
     times = [link.time_s - start_s for link in links]
+    end = times[-1] + (times[-1] - times[0]) / max(len(times) - 1, 1)  # the last slot's rate holds to its end
     for user, region in enumerate(links[0].regions):
-        shade = 0.55 + 0.45 * (user % 2)
         rates = [max(link.rate_bps[user], 1.0) / 1e3 for link in links]
-        line = "-" if user % 2 else "--"
-        axes.step(times, rates, line, where="post", color=SIDES[region], alpha=shade, label=f"user {user + 1}")
+        line = LINES[links[0].regions[:user].count(region) % len(LINES)]
+        axes.step(
+            [*times, end],
+            [*rates, rates[-1]],
+            linestyle=line,
+            where="post",
+            color=SIDES[region],
+            label=f"user {user + 1}",
+        )
     axes.axhline(qos_bps / 1e3, color=PLANNED, linewidth=1.4, linestyle=(0, (6, 3)), label="QoS")
     axes.set_yscale("log")
     axes.set_ylim(bottom=max(axes.get_ylim()[0], qos_bps / 1e3 / 100))
-    axes.legend(loc="lower right", ncols=3)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=len(links[0].regions) + 1)
 
 
 def _altitude(axes: Axes, flown: list[TrackSample], planned: list[TrackSample], start_s: float) -> None:

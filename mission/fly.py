@@ -1,5 +1,6 @@
 """`aerialstar fly`: start the nodes, watch the flight, bring everything home, report."""
 
+import os
 import queue
 import signal
 import socket
@@ -33,31 +34,37 @@ COME_DOWN_S = 600.0
 """Wall clock for the vehicle to come down by its failsafe."""
 FAILSAFE_SPEED = 10.0
 """How fast the embedded autopilot flies its failsafe after a lockstep flight lost its bridge: nobody's clock runs."""
+START_RETRY_S = 0.2
+"""Wall clock between two `start` commands, when the first was refused or not answered."""
 LOOP_NODES = ("bridge", "rf", "agent")
+BEFORE_START = ("connecting", "preflight", "ready", "ended")
+"""The bridge's phases in which no `start` need have been obeyed."""
 
 _Item = VehicleState | SlotOpened | LinkReport | MissionEvent | tuple[str, bool]
 
 
 class FlightError(RuntimeError):
-    """The flight could not start; one line says why."""
+    """The flight could not start, or ended in an error; one line says why."""
 
 
 def fly(mission: Mission, console: Console) -> int:
     """Fly a checked mission and return the exit code; shows progress, table and run folder on `console`.
 
-    Raises MissionError when the run folder cannot be made, BusError when the bus cannot be opened, FlightError when a
-    node does not come up. No process is left behind, except for an embedded autopilot that a second Ctrl-C left in the
-    air: it lands by its failsafe and ends.
+    No process is left behind, except for an embedded autopilot that a second Ctrl-C left in the air: it lands by its
+    failsafe and ends. Raises MissionError when the run folder cannot be made, BusError when the bus cannot be opened,
+    FlightError when a node does not come up or the bridge ends in an error (exit code 1).
     """
     run = run_folder.make(mission)
     flight = _Flight(mission, run, console)
     with _interrupts(flight):
-        code = flight.run()
-        if flight.abandoned:
-            console.print(f"left to the autopilot's failsafe; recordings are in {run}", highlight=False, soft_wrap=True)
-            return code
-        if mission.record.mcap:
-            console.print(table(write(run)))
+        try:
+            code = flight.run()
+        except FlightError as error:
+            raise FlightError(f"{error}; logs are in {run / 'logs'}") from error
+        if mission.record.mcap and not flight.abandoned:
+            report = write(run)
+            if report.slots:
+                console.print(table(report))
     console.print(f"run folder: {run}", highlight=False, soft_wrap=True)
     return code
 
@@ -87,9 +94,15 @@ class _Flight:
         self._alive: set[str] = set()
         self._armed = False
         self._started = False
+        self._start_at = 0.0
+        """When to ask for the start again (monotonic clock)."""
+        self._unstarted = ""
+        """Why the last `start` was not taken."""
         self._ended: MissionEvent | None = None
         self._why = ""
         """The last error or failsafe told."""
+        self._recorder: Recorder | None = None
+        self._recording_stopped = False
         self._interrupts = 0
         self._obeyed = 0
         self.abandoned = False
@@ -102,14 +115,14 @@ class _Flight:
         endpoint = free_endpoint()
         with ExitStack() as stack:
             session = stack.enter_context(open_session(listen=endpoint))
-            recorder = None
             if self._mission.record.mcap:
-                recorder = stack.enter_context(Recorder(session, self._mission.vehicle.name, self._run / LOG_NAME))
+                recorder = Recorder(session, self._mission.vehicle.name, self._run / LOG_NAME)
+                self._recorder = stack.enter_context(recorder)
             declared = self._declare(session)
             stack.callback(declared.clear)
             stack.callback(self._gather)
             stack.enter_context(self._view)
-            self._session, self._recorder = session, recorder
+            self._session = session
             self._start_nodes(endpoint)
             return self._watch()
 
@@ -137,7 +150,9 @@ class _Flight:
         for name in ("rf", "agent"):
             self._nodes[name] = Node(name, python("mission", name, *common), logs)
         if mission.clock == "lockstep":
-            bridge_options += ["--control", self._control_socket(self._nodes["sitl"])]
+            bridge_options += ["--control", self._await_printed(self._nodes["sitl"], "control ")]
+        elif mission.embedded:
+            self._await_printed(self._nodes["sitl"], "companion ")
         if mission.record.tlog:
             bridge_options += ["--tlog", str(self._run / "flight.tlog")]
         self._nodes["bridge"] = Node("bridge", python("mission", "bridge", *common, *bridge_options), logs)
@@ -150,6 +165,7 @@ class _Flight:
             *("--companion-port", str(companion_port), "--companion-bind", "0", "--gcs-bind", "0"),
             *(("--lockstep", "--control-port", "0") if lockstep else ()),
             *("--speed", str(FAILSAFE_SPEED if lockstep else mission.speed), "--exit-when-landed"),
+            *("--launcher", str(os.getpid())),
             *("--seed", str(mission.seed), "--system-id", str(mission.vehicle.system_id)),
             *(
                 part
@@ -158,22 +174,27 @@ class _Flight:
             ),
         )
 
-    def _control_socket(self, sitl: Node) -> str:
+    def _await_printed(self, sitl: Node, start: str) -> str:
+        """The line about a socket, which the SITL prints when it is ready: its flight model may have to compile."""
         deadline = time.monotonic() + START_S
-        while (address := sitl.printed("control ")) is None:
+        compiling = False
+        while (line := sitl.printed(start)) is None:
             if not sitl.running:
                 raise FlightError(_told(sitl))
             if self._interrupts:
                 raise FlightError("interrupted before the start")
             if time.monotonic() > deadline:
                 raise FlightError(f"sitl: not up after {START_S:g} s ({sitl.last_words})")
+            if not compiling and (what := sitl.printed("compiling ")) is not None:
+                compiling = True
+                self._view.note(f"sitl: compiling {what}")
             self._hear(0.02)
-        return address
+        return line
 
     def _gather(self) -> None:
         """End every process; an embedded autopilot that still flies gets the time to land."""
         loop = [node for name, node in self._nodes.items() if name != "sitl"]
-        end_all(loop, patience_s=GATHER_S if self._ended else 0.0)
+        end_all(loop, patience_s=GATHER_S if self._ended and self._started else 0.0)  # who never saw it fly, waits on
         sitl = self._nodes.get("sitl")
         if sitl is not None and not self.abandoned:
             end_all([sitl], patience_s=GATHER_S if self._ended and not self._armed else 0.0)
@@ -194,15 +215,25 @@ class _Flight:
             if not bridge.running:
                 return self._bridge_over(bridge)
             self._check_others()
-            if not self._started and self._alive.issuperset(LOOP_NODES):
+            if not self._started and self._alive.issuperset(LOOP_NODES) and time.monotonic() >= self._start_at:
                 self._start_flight()
             if not self._started and time.monotonic() > deadline:
                 missing = ", ".join(name for name in LOOP_NODES if name not in self._alive)
-                raise FlightError(f"not on the bus after {START_S:g} s: {missing}")
+                raise FlightError(
+                    f"not on the bus after {START_S:g} s: {missing}"
+                    if missing
+                    else f"not started after {START_S:g} s: {self._unstarted}"
+                )
 
     def _start_flight(self) -> None:
-        self._command("start")
-        self._started = True
+        """Ask for the start; a bridge that says no, or nothing, is asked again later."""
+        why_not = self._command("start")
+        if why_not is None:
+            self._started = True
+            return
+        if why_not != self._unstarted:
+            self._view.note(why_not)
+        self._unstarted, self._start_at = why_not, time.monotonic() + START_RETRY_S
 
     def _interrupted(self) -> int | None:
         if not self._started:
@@ -210,23 +241,25 @@ class _Flight:
             return ERROR
         if self._obeyed > 1:
             self.abandoned = True
+            self._view.note("Ctrl-C again: the nodes end, the vehicle is left to its autopilot's failsafe")
             return ERROR
         self._view.note("Ctrl-C: landing (once more: end now and leave the vehicle to its failsafe)")
-        self._command("land")
+        why_not = self._command("land")
+        if why_not is not None:
+            self._view.note(why_not)
         return None
 
-    def _command(self, name: CommandName) -> None:
+    def _command(self, name: CommandName) -> str | None:
+        """Ask the bridge for something; why it will not do it, or None when it will."""
         command = Command(name=name)
         try:
             reply = topics.send_command(self._session, self._mission.vehicle.name, command)
-        except TimeoutError as error:
-            self._view.note(str(error))
-            return
+        except (TimeoutError, topics.RefusedError) as error:
+            return str(error)
         if self._recorder is not None:
             self._recorder.command(command)
             self._recorder.command(reply)
-        if not reply.accepted:
-            self._view.note(f"{name} was refused: {reply.reason}")
+        return None if reply.accepted else f"{name} was refused: {reply.reason}"
 
     def _bridge_over(self, bridge: Node) -> int:
         deadline = time.monotonic() + 1.0
@@ -239,8 +272,10 @@ class _Flight:
             code = FAILSAFE
         if code is None:
             code = bridge.exit_code or ERROR
-        if code != AS_PLANNED:
-            self._view.note(f"{'ended by failsafe' if code == FAILSAFE else 'error'}: {self._why or self._ended.text}")
+        if code == ERROR:
+            raise FlightError(self._why or self._ended.text)
+        if code == FAILSAFE:
+            self._view.note(f"ended safely, not as planned: {self._why}")
         return code
 
     def _bridge_lost(self, bridge: Node) -> int:
@@ -249,8 +284,7 @@ class _Flight:
             raise FlightError(_told(bridge))
         self._view.note(f"bridge: {how}; the autopilot's failsafe brings the vehicle down")
         if self._mission.embedded and not self._await_landing():
-            self._view.note(f"error: the vehicle was not down after {COME_DOWN_S:g} s")
-            return ERROR
+            raise FlightError(f"bridge: {how}; the vehicle was not down after {COME_DOWN_S:g} s")
         return FAILSAFE
 
     def _await_landing(self) -> bool:
@@ -290,12 +324,16 @@ class _Flight:
             except queue.Empty:
                 break
             self._take(item)
+        if self._recorder is not None and self._recorder.error is not None and not self._recording_stopped:
+            self._recording_stopped = True
+            self._view.note(f"recording stopped: {self._recorder.error}")
         self._view.show()
 
     def _take(self, item: _Item) -> None:
         match item:
             case VehicleState():
                 self._armed = item.armed
+                self._started |= item.phase not in BEFORE_START  # also when the answer to `start` was lost
                 self._view.state(item)
             case SlotOpened():
                 self._view.slot(item)

@@ -209,7 +209,7 @@ def bridge_config(
     limits = mission.limits
     url = autopilot or ("udpin://127.0.0.1:14540" if mission.embedded else mission.vehicle.autopilot)
     if mission.clock == "lockstep" and control is None:
-        raise MissionError("clock: 'lockstep' needs the autopilot's control socket (HOST:PORT)")
+        raise MissionError("clock: 'lockstep' needs the autopilot's control socket: give --control HOST:PORT")
     try:
         return BridgeConfig(
             autopilot=url,

@@ -39,7 +39,7 @@ class FlightView:
 
     def note(self, text: str) -> None:
         """A line worth reading; in a terminal it stays above the panel."""
-        self._console.print(text, highlight=False, markup=False)
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def event(self, event: MissionEvent) -> None:
         if event.kind == "phase":

@@ -2,9 +2,15 @@
 
 The file is written by foxglove-sdk with a chunk for every message over an unbuffered file: a chunk is whole on disk as
 soon as the next message comes, so a killed process loses one message at most, and Foxglove still finds its index.
+
+Only one thread touches foxglove-sdk: it holds a lock of its own while it calls back into Python to write, so that two
+threads that log would wait for each other for ever.
 """
 
+import queue
+import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -19,6 +25,14 @@ from mission.json_schema import json_schema
 
 MESSAGES: tuple[type[Message], ...] = (*(topic.message for topic in TOPICS), Command, CommandReply)
 BY_ENCODING = {str(encoding(message)): message for message in MESSAGES}
+
+
+@dataclass(frozen=True)
+class _Received:
+    keyexpr: str
+    encoding: str
+    payload: bytes
+    wall_ns: int
 
 
 class _File:
@@ -62,6 +76,9 @@ class Recorder:
             writer_options=MCAPWriteOptions(chunk_size=1, compression_threads=0),
         )
         self._channels: dict[tuple[str, str], foxglove.Channel] = {}
+        self._waiting: queue.SimpleQueue[_Received | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
+        self._thread.start()
         self._subscriber = session.declare_subscriber(key(vehicle, "**"), self._on_sample)
 
     def __enter__(self) -> "Recorder":
@@ -80,24 +97,32 @@ class Recorder:
     def command(self, message: Command | CommandReply) -> None:
         """Record a command (as `command`) or its reply (as `command/reply`): queries do not pass a subscriber."""
         topic = COMMAND if isinstance(message, Command) else f"{COMMAND}/reply"
-        self._write(key(self._vehicle, topic), str(encoding(type(message))), encode(message))
+        self._receive(key(self._vehicle, topic), str(encoding(type(message))), encode(message))
 
     def close(self) -> None:
-        """Stop and write the index. Does nothing the second time."""
-        self._subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh gives no types here
+        """Write what was received, then the index. Does nothing the second time."""
+        if self._thread.is_alive():
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh gives no types here
+            self._waiting.put(None)
+            self._thread.join()
+            self._file.close()
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        self._receive(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
+
+    def _receive(self, keyexpr: str, wire_encoding: str, payload: bytes) -> None:
+        self._waiting.put(_Received(keyexpr, wire_encoding, payload, time.time_ns()))
+
+    def _write_all(self) -> None:
+        while (received := self._waiting.get()) is not None:
+            if self._file.error is None:
+                channel = self._channel(received.keyexpr, received.encoding)
+                channel.log(received.payload, log_time=received.wall_ns)
         try:
             self._writer.close()
         except RuntimeError:
             if self._file.error is None:
                 raise
-        self._file.close()
-
-    def _on_sample(self, sample: zenoh.Sample) -> None:
-        self._write(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
-
-    def _write(self, keyexpr: str, wire_encoding: str, payload: bytes) -> None:
-        if self._file.error is None:
-            self._channel(keyexpr, wire_encoding).log(payload, log_time=time.time_ns())
 
     def _channel(self, keyexpr: str, wire_encoding: str) -> foxglove.Channel:
         channel = self._channels.get((keyexpr, wire_encoding))

@@ -80,7 +80,7 @@ def replay(run: Path) -> Replay:
         slot = topics.Publisher(session, name, topics.SLOT)
         action = topics.Publisher(session, name, topics.ACTION)
         answers = _Answers(heard)
-        for message, expected in _script(log, deadline_s):
+        for message, expected in script(log, deadline_s):
             match message:
                 case VehicleState():
                     state.send(message)
@@ -110,38 +110,59 @@ class _Answers:
             self.got[_topic(message), message.slot] = message
 
 
-def _script(log: FlightLog, deadline_s: float) -> Iterator[tuple[_Sent, list[tuple[str, int]]]]:
-    """Messages to send, in the order recorded, each with the answers to wait for before the next."""
-    messages: dict[str, type[VehicleState] | type[SlotOpened] | type[Action]] = {
+def script(log: FlightLog, deadline_s: float) -> Iterator[tuple[_Sent, list[tuple[str, int]]]]:
+    """Messages to send, each with the answers to wait for before the next.
+
+    They go out in the order recorded, but for the actions that the bridge says it got in time: those follow their
+    slot's opening at once. Action and opening came to the recorder over different links, so their order there is not
+    that of the flight.
+    """
+    opened = log.by_slot(topics.SLOT)
+    in_time = {
+        slot: action
+        for slot, action in log.by_slot(topics.ACTION).items()
+        if slot in opened and slot + 1 in opened and _came_in_time(opened[slot + 1])
+    }
+    current: SlotOpened | None = None
+    now_s = float("-inf")
+    for message in _recorded(log):
+        match message:
+            case VehicleState():
+                now_s = message.time_s
+                yield message, []
+            case SlotOpened():
+                expected: list[tuple[str, int]] = []
+                if current is not None:
+                    expected += [(topics.CONFIGURATION.name, current.slot), (topics.LINK.name, current.slot)]
+                if not message.closing:
+                    expected.append((topics.CSI.name, message.slot))
+                current = message
+                yield message, expected
+                if message.slot in in_time:
+                    yield in_time[message.slot], [(topics.CONFIGURATION.name, message.slot)]
+            case Action() if message.slot not in in_time:
+                answered = current is not None and message.slot == current.slot and now_s <= current.time_s + deadline_s
+                yield message, [(topics.CONFIGURATION.name, message.slot)] if answered else []
+            case _:
+                pass
+
+
+def _recorded(log: FlightLog) -> Iterator[_Sent]:
+    kinds: dict[str, type[VehicleState] | type[SlotOpened] | type[Action]] = {
         topics.STATE.name: VehicleState,
         topics.SLOT.name: SlotOpened,
         topics.ACTION.name: Action,
     }
-    opened: SlotOpened | None = None
-    now_s = float("-inf")
     for entry in log.entries:
-        kind = messages.get(entry.topic)
-        if kind is None:
-            continue
-        try:
-            message = topics.decode(entry.payload, kind)
-        except topics.RefusedError:
-            continue
-        expected: list[tuple[str, int]] = []
-        match message:
-            case VehicleState():
-                now_s = message.time_s
-            case SlotOpened():
-                if opened is not None:
-                    expected += [(topics.CONFIGURATION.name, opened.slot), (topics.LINK.name, opened.slot)]
-                if not message.closing:
-                    expected.append((topics.CSI.name, message.slot))
-                opened = message
-            case _:
-                in_time = opened is not None and now_s <= opened.time_s + deadline_s
-                if opened is not None and message.slot == opened.slot and in_time:
-                    expected.append((topics.CONFIGURATION.name, message.slot))
-        yield message, expected
+        if entry.topic in kinds:
+            try:
+                yield topics.decode(entry.payload, kinds[entry.topic])
+            except topics.RefusedError:
+                continue
+
+
+def _came_in_time(next_opened: SlotOpened) -> bool:
+    return next_opened.flown is not None and next_opened.flown.outcome not in ("missing", "late")
 
 
 def _await_node(node: Node, alive: queue.SimpleQueue[str]) -> None:

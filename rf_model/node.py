@@ -14,8 +14,7 @@ handled here by one thread; `slot_radio.SlotRadio` decides what they mean.
 import queue
 import time
 from collections import Counter
-from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import torch
 import zenoh
@@ -27,7 +26,6 @@ from bus.messages import (
     LinkReport,
     Message,
     MissionEvent,
-    NodeHealth,
     RisConfiguration,
     SlotOpened,
     VehicleState,
@@ -42,12 +40,7 @@ ACTION_WAIT_S = 1.0
 HEALTH_PERIOD_S = 1.0
 
 
-@dataclass(frozen=True)
-class _BridgeGone:
-    """The bridge's liveliness token dropped."""
-
-
-_Item = SlotOpened | Action | VehicleState | MissionEvent | _BridgeGone
+_Item = SlotOpened | Action | VehicleState | Literal["ended"]
 
 
 def run(
@@ -61,8 +54,8 @@ def run(
 ) -> int:
     """Serve one vehicle until the flight has ended (`until_ended`) or for ever; returns exit code 0.
 
-    `action_deadline_s` [s of vehicle time after a slot's opening] is when an action seems late. The flight has ended
-    on the bridge's `ended` event or when its liveliness token drops. Raises ValueError for a bad vehicle name.
+    `action_deadline_s` [s of vehicle time after a slot's opening] is when an action seems late. `bus.topics.watch_end`
+    says when the flight has ended. Raises ValueError for a bad vehicle name.
     """
     torch.set_num_threads(1)  # tensors of one slot are small; the other cores are for the other nodes
     return _RfNode(scenario, seed, vehicle, session, action_deadline_s).serve(until_ended)
@@ -87,14 +80,13 @@ class _RfNode:
         self._health = topics.Publisher(session, vehicle, topics.HEALTH)
         self._configurations = History(session, vehicle, topics.CONFIGURATION)
         self._links = History(session, vehicle, topics.LINK)
-        self._declarations: list[Any] = [
+        self._declarations: list[topics.Declared] = [
             self._configurations,
             self._links,
             topics.subscribe(session, vehicle, topics.ACTION, self._inbox.put, self._refused),
             topics.subscribe(session, vehicle, topics.STATE, self._inbox.put, self._refused),
-            topics.subscribe(session, vehicle, topics.EVENT, self._inbox.put, self._refused),
             topics.subscribe(session, vehicle, topics.SLOT, self._inbox.put, self._refused),
-            topics.watch_alive(session, vehicle, self._alive_changed),
+            *topics.watch_end(session, vehicle, lambda: self._inbox.put("ended")),
             topics.declare_alive(session, vehicle, NODE),
         ]
 
@@ -136,11 +128,9 @@ class _RfNode:
                     self._waiting = (item, time.monotonic() + ACTION_WAIT_S)
                 else:
                     self._publish(self._radio.open(item))
-            case MissionEvent(kind="ended") | _BridgeGone():
+            case "ended":
                 self._open_waiting()
                 return True
-            case _:
-                pass
         self._give_up_waiting()
         return False
 
@@ -171,11 +161,6 @@ class _RfNode:
             self._event.send(MissionEvent(time_s=self._radio.time_s, source=NODE, kind="rejected", text=reason))
         self._radio.rejections.clear()
 
-    def _alive_changed(self, node: str, alive: bool) -> None:
-        if node == "bridge" and not alive:
-            self._inbox.put(_BridgeGone())
-
     def _send_health(self) -> None:
-        refused = {f"refused {name}": count for name, count in self._refused.items()}
-        counters = {**self._radio.counters, "refused": sum(refused.values()), **refused}
-        self._health.send(NodeHealth(node=NODE, wall_time_s=time.time(), counters=counters))
+        counters = {**self._radio.counters, "refused": sum(self._refused.values())}
+        self._health.send(topics.health(NODE, counters, self._refused))

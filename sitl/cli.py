@@ -23,6 +23,9 @@ def sitl(
     exit_when_landed: Annotated[
         bool, typer.Option("--exit-when-landed", help="End after the flight, or when the control client is gone.")
     ] = False,
+    launcher: Annotated[
+        int | None, typer.Option(metavar="PID", help="Our parent process; end if it dies before there was a flight.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the sensor noise.")] = 0,
     home: Annotated[
         str, typer.Option(metavar="LAT,LON,ALT", help="Start on the globe [deg, deg, m above mean sea level].")
@@ -63,6 +66,7 @@ def sitl(
                 lockstep=lockstep,
                 control_port=control_port,
                 exit_when_landed=exit_when_landed,
+                launcher=launcher,
                 seed=seed,
                 origin=origin,
                 parameters=parameters,

@@ -21,6 +21,7 @@ class ControlSocket:
             self.listener.close()
             raise PortError(f"control socket: TCP port 127.0.0.1:{port} cannot be bound ({error})") from error
         self.listener.listen(4)
+        self.listener.setblocking(False)  # who knocked may have gone before we open
         self.client: socket.socket | None = None
         self._pending = b""
 
@@ -34,13 +35,21 @@ class ControlSocket:
         return self.client is not None
 
     def accept(self) -> socket.socket | None:
-        """Take a client that knocks, or turn it away; the client if taken."""
-        client, _ = self.listener.accept()
-        if self.client is not None:
-            with client:
-                client.sendall(b"error another control client is connected\n")
+        """Take a client that knocks, or turn it away; the client if taken. One that is gone already is no client."""
+        try:
+            client, _ = self.listener.accept()
+        except OSError:
             return None
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            if self.client is not None:
+                client.sendall(b"error another control client is connected\n")
+                client.close()
+                return None
+            client.setblocking(True)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except OSError:
+            client.close()
+            return None
         self.client = client
         self._pending = b""
         return client

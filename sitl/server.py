@@ -1,5 +1,6 @@
 """The server: runs one autopilot on its links, paced by the wall clock or stepped by a control client."""
 
+import os
 import selectors
 import signal
 import sys
@@ -26,6 +27,8 @@ COMPILE_NOTICE_S = 3.0
 """Loading the compiled code from the disk takes well under this."""
 LINGER_MS = 3000
 """Vehicle time after the last disarming before the process ends, so that its clients hear of it."""
+ORPHAN_CHECK_S = 1.0
+"""How often a process that waits for its first control client looks for its launcher."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class Options:
     lockstep: bool = False
     control_port: int | None = None
     exit_when_landed: bool = False
+    launcher: int | None = None
+    """Process id of our parent, without which no flight will begin."""
     seed: int = 0
     origin: Origin = field(default_factory=Origin)
     parameters: Parameters = field(default_factory=Parameters)
@@ -118,7 +123,7 @@ class Server:
         vehicle_ms = self._autopilot.now_ms
         while not self._finished():
             if self._stepped:
-                self._serve_control(None)
+                self._serve_control(ORPHAN_CHECK_S)
                 wall, vehicle_ms = time.monotonic(), self._autopilot.now_ms
                 continue
             due = wall + (self._autopilot.now_ms + TICK_MS - vehicle_ms) / 1000.0 / self._options.speed
@@ -140,10 +145,10 @@ class Server:
 
     def _finished(self) -> bool:
         commander = self._autopilot.vehicle.commander
+        if not (commander.has_flown or self._was_controlled):
+            return self._options.launcher not in (None, os.getppid())
         if not self._options.exit_when_landed or self._stepped or commander.armed:
             self._over_ms = None
-            return False
-        if not (commander.has_flown or self._was_controlled):
             return False
         if self._over_ms is None:
             self._over_ms = self._autopilot.now_ms

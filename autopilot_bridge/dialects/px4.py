@@ -30,6 +30,7 @@ PX4 = Dialect(
     },
     commands={Mode.HOLD: (AUTO, 3), Mode.RETURN: (AUTO, 5), Mode.LAND: (AUTO, 6), Mode.OFFBOARD: (6, 0)},
     rates_hz={
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT: 10.0,  # the mode: how soon a pilot is obeyed
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0,  # one per step, and none of those we do not read
         mavlink.MAVLINK_MSG_ID_ATTITUDE: 20.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,

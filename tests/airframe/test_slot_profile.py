@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -40,6 +40,7 @@ def test_position_velocity_and_acceleration_belong_together(velocity, displaceme
 
 
 @given(velocities(), displacements, st.floats(0.5, 2), accelerations)
+@example(np.zeros(3), np.array([1e-300, 0, 0]), 0.75, 1.0)  # rounding is no limit
 def test_reaches_the_displacement_when_nothing_limits(velocity, displacement, slot_s, acceleration):
     profile = reach(np.zeros(3), velocity, displacement, slot_s, acceleration, LIMITS)
     if not profile.limited_by:
@@ -47,10 +48,10 @@ def test_reaches_the_displacement_when_nothing_limits(velocity, displacement, sl
     else:
         # told, and true: at least one limit is really in the way
         gap = np.linalg.norm(displacement - velocity * slot_s)
-        mean = displacement / slot_s
         end = profile.at(slot_s).velocity
         at_speed = np.hypot(*end[:2]) > LIMITS.horizontal - 1e-6 or not -1.5 + 1e-6 < end[2] < 3 - 1e-6
-        too_fast = np.hypot(*mean[:2]) > LIMITS.horizontal or not -LIMITS.down <= mean[2] <= LIMITS.up
+        too_fast = np.hypot(*displacement[:2]) > LIMITS.horizontal * slot_s
+        too_fast |= not -LIMITS.down * slot_s <= displacement[2] <= LIMITS.up * slot_s
         assert too_fast or at_speed or gap > acceleration * slot_s**2 / 2
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from autopilot_bridge import clock
-from autopilot_bridge.vehicle import Telemetry
+from autopilot_bridge.vehicle import SilentError, Telemetry
 
 
 class Autopilot:
@@ -84,3 +84,16 @@ def test_a_stall_is_skipped_not_rushed_through(wall):
         paced.step(autopilot)
     assert paced.now > before + 1.9
     assert autopilot.counters["steps_skipped"] >= 35
+
+
+def test_a_clock_that_goes_back_is_told_once_and_then_followed(wall):
+    autopilot = Autopilot(wall, 1.0)
+    paced = clock.Paced(1.0, 50)
+    for _ in range(20):
+        paced.step(autopilot)
+    autopilot.boot_s -= 60.0
+    with pytest.raises(SilentError, match=r"clock went back from 10\d\.\d to 4\d\.\d s: it has restarted"):
+        paced.step(autopilot)
+    for _ in range(20):
+        paced.step(autopilot)
+    assert paced.now == pytest.approx(autopilot.time_s, abs=0.12)

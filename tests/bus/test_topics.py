@@ -272,6 +272,33 @@ def test_liveliness_shows_nodes_already_there_and_nodes_that_die(hub):
         child.stdout.close()
 
 
+def test_the_end_is_told_by_the_bridge_or_by_its_death_or_by_a_mission_that_dies_first(hub):
+    endpoint, session = hub
+    with open_session(connect=[endpoint]) as other:
+
+        def watched(vehicle):
+            ends = []
+            return ends, topics.watch_end(session, vehicle, lambda: ends.append(True))
+
+        told, keep_told = watched("told")
+        topics.Publisher(other, "told", topics.EVENT).send(
+            m.MissionEvent(time_s=1.0, source="bridge", kind="ended", text="exit 0", exit_code=0)
+        )
+        wait_for(lambda: told)
+
+        tokens = {name: topics.declare_alive(other, name, "mission") for name in ("early", "late")}
+        tokens["bridge"] = topics.declare_alive(other, "late", "bridge")
+        early, keep_early = watched("early")
+        late, keep_late = watched("late")
+        tokens["late"].undeclare()
+        tokens["early"].undeclare()
+        wait_for(lambda: early)
+        assert not late  # a flight that has a bridge outlives its mission
+        tokens["bridge"].undeclare()
+        wait_for(lambda: late)
+        del keep_told, keep_early, keep_late
+
+
 def test_a_command_is_answered_and_a_bad_one_refused(hub):
     endpoint, session = hub
     refused: Counter[str] = Counter()
@@ -324,6 +351,14 @@ def test_an_endpoint_already_taken_is_an_error_that_names_it():
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(BusError, match=endpoint):
             open_session(listen=endpoint)
+
+
+def test_an_endpoint_that_is_none_is_an_error_that_names_it():
+    for arguments in ({"listen": "foo"}, {"connect": ["foo"]}):
+        with pytest.raises(BusError, match="foo") as caught:
+            open_session(**arguments)
+        assert "\n" not in str(caught.value)
+        assert ".rs" not in str(caught.value), "a place in zenoh's source helps nobody"
 
 
 def test_a_config_file_that_is_none_is_an_error_that_names_it(tmp_path):

@@ -32,7 +32,7 @@ SHORT = {"scenario": LOW, "slots": 6, "policy": {"kind": "random"}, "at_end": "l
 class Flight:
     """One `aerialstar ...` process and all that it starts, told apart from everything else by an environment tag."""
 
-    def __init__(self, folder, arguments):
+    def __init__(self, folder, arguments, environment):
         self.folder = folder
         self.tag = uuid.uuid4().hex
         self.output = folder / f"{self.tag}.out"
@@ -43,7 +43,7 @@ class Flight:
                 stdout=out,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env=os.environ | {TAG: self.tag},
+                env=os.environ | environment | {TAG: self.tag},
             )
 
     @property
@@ -127,14 +127,14 @@ def launch(tmp_path_factory):
     """Start `aerialstar fly` of a mission given by its fields or its file; killed at the end whatever happens."""
     flights = []
 
-    def start(mission, *options):
+    def start(mission, *options, **environment):
         folder = tmp_path_factory.mktemp("flight")
         if isinstance(mission, dict):
             path = folder / "short.yaml"
             path.write_text(yaml.safe_dump(mission))
         else:
             path = mission
-        flight = Flight(folder, ["fly", path, "--output", folder / "runs", *options])
+        flight = Flight(folder, ["fly", path, "--output", folder / "runs", *options], environment)
         flights.append(flight)
         return flight
 

@@ -7,6 +7,7 @@ import time
 import pytest
 
 from bus import topics
+from mission.transitions import transitions
 
 
 def outcomes(flight):
@@ -31,6 +32,8 @@ def test_without_restart_a_dead_agent_sends_the_vehicle_home(launch, short):
     links = log.by_slot(topics.LINK)
     assert links[max(links)].configuration == "held"
     assert log.messages(topics.STATE)[-1].landed
+    for transition in transitions(flight.run):
+        assert transition.reward == pytest.approx(links[transition.slot].reward, rel=1e-12), "held slots included"
     assert "no good action" in flight.text
     assert flight.report["exit_code"] == 3
 
@@ -46,7 +49,8 @@ def test_a_node_that_dies_is_started_again_and_the_flight_goes_on(launch, short,
     assert flight.report["restarts"] == 1
     assert len(outcomes(flight)) == 60
     assert outcomes(flight)[-1] in ("flown", "clipped")
-    assert sorted(flight.log.by_slot(topics.CONFIGURATION)) == list(range(60))
+    lost = set(range(60)) - set(flight.log.by_slot(topics.CONFIGURATION))
+    assert len(lost) <= 1, "only what the node had in hand when it died may be lost"
 
 
 def test_without_its_bridge_the_autopilot_saves_the_vehicle(launch, short):
@@ -104,3 +108,10 @@ def test_a_second_ctrl_c_leaves_the_vehicle_to_its_failsafe(launch, short):
     assert all("sitl" in command for command in left), "only the vehicle itself may still be there"
     flight.await_end()
     assert flight.log.complete
+
+
+def test_a_mission_killed_before_there_was_a_flight_leaves_nothing(launch, short):
+    flight = launch(short)
+    flight.node("rf")
+    flight.process.kill()
+    flight.await_end()

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import shutil
 import struct
 import subprocess
 import sys
@@ -144,13 +145,30 @@ def test_a_fresh_rf_node_says_the_same_bit_for_bit(demo):
     assert "all the same bit for bit" in done.stdout
 
 
-def test_paced_five_times_as_fast_as_the_wall_clock(launch, short):
-    flight = launch(short | {"slots": 5}, "--speed", "5")
+def test_a_replay_in_another_world_is_told_apart(demo, tmp_path):
+    shutil.copy(demo.run / "flight.mcap", tmp_path)
+    mission = (demo.run / "mission.yaml").read_text()
+    (tmp_path / "mission.yaml").write_text(mission.replace(f"seed: {demo.report['seed']}\n", "seed: 123456\n"))
+    done = subprocess.run(
+        [sys.executable, "-m", "mission", "replay", str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "the first is rf/csi of slot 0" in done.stdout
+
+
+def test_paced_five_times_as_fast_as_the_wall_clock_and_the_first_flight_of_an_installation(launch, short, tmp_path):
+    """Nothing is compiled yet, so the autopilot comes up long after the others."""
+    flight = launch(short | {"slots": 5}, "--speed", "5", NUMBA_CACHE_DIR=str(tmp_path))
     assert flight.wait() == 0, flight.text
     assert not flight.processes()
+    assert "compiling the flight model, once" in flight.text
     log = flight.log
     assert sorted(log.by_slot(topics.LINK)) == list(range(5))
+    opened = [slot.time_s for slot in log.messages(topics.SLOT)]
+    assert [after - before for before, after in itertools.pairwise(opened)] == pytest.approx([1.0] * 5, abs=0.06)
     states = [entry for entry in log.entries if entry.topic == "state"]
     vehicle = [state.time_s for state in log.messages(topics.STATE)]
+    assert vehicle == sorted(vehicle)
+    assert vehicle[-1] - vehicle[0] > 15.0, "takeoff, five slots and landing took vehicle time"
     pace = (vehicle[-1] - vehicle[0]) / (states[-1].wall_s - states[0].wall_s)
     assert pace <= 5.5, "it never runs ahead of its clock"

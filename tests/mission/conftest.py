@@ -1,10 +1,15 @@
 """A short flight made of synthetic messages, for the tests of what reads recordings."""
 
 import math
+import time
 
 import pytest
 
 from bus import messages as m
+from bus import topics
+from bus.session import free_endpoint, open_session
+from mission import flight_log
+from mission.recorder import Recorder
 
 ELEMENTS, ANTENNAS, USERS, SLOTS = 4, 2, 2, 5
 
@@ -147,3 +152,31 @@ def flight():
     health = m.NodeHealth(node="rf", wall_time_s=1.0, counters={"refused.action": 2})
     ended = m.MissionEvent(time_s=9.0, source="bridge", kind="ended", text="flown as planned", exit_code=0)
     return [*messages, ("health", health), ("event", ended)]
+
+
+def _record(folder, messages):
+    """Send messages from one session, record them in another; returns the run folder."""
+    endpoint = free_endpoint()
+    with (
+        open_session(listen=endpoint) as session,
+        Recorder(session, "t", folder / "flight.mcap") as recorder,
+        open_session(connect=[endpoint]) as sender,
+    ):
+        for name, message in messages:
+            if name == topics.COMMAND:
+                recorder.command(message)
+            else:
+                sender.put(topics.key("t", name), topics.encode(message), encoding=topics.encoding(type(message)))
+        for _ in range(2):  # the second puts the first on disk
+            sender.put(topics.key("t", "end"), b"end")
+        deadline = time.monotonic() + 10.0
+        while "end" not in [entry.topic for entry in flight_log.read(folder).entries]:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    return folder
+
+
+@pytest.fixture
+def record():
+    """Record (topic name, message) pairs over a real bus into a folder, which it returns."""
+    return _record

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import msgspec
@@ -21,30 +22,8 @@ from mission.recorder import MESSAGES, Recorder
 TOPIC = {topic.name: topic for topic in topics.TOPICS}
 
 
-def record(folder, messages):
-    """Send messages from one session, record them in another; returns the run folder."""
-    endpoint = free_endpoint()
-    with (
-        open_session(listen=endpoint) as session,
-        Recorder(session, "t", folder / "flight.mcap") as recorder,
-        open_session(connect=[endpoint]) as sender,
-    ):
-        for name, message in messages:
-            if name == topics.COMMAND:
-                recorder.command(message)
-            else:
-                sender.put(topics.key("t", name), topics.encode(message), encoding=topics.encoding(type(message)))
-        for _ in range(2):  # the second puts the first on disk
-            sender.put(topics.key("t", "end"), b"end")
-        deadline = time.monotonic() + 10.0
-        while "end" not in [entry.topic for entry in flight_log.read(folder).entries]:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-    return folder
-
-
 @pytest.fixture
-def run(tmp_path, flight):
+def run(tmp_path, flight, record):
     command = [("command", Command(name="start")), ("command", CommandReply(accepted=True, reason=""))]
     return record(tmp_path, [*command, *flight])
 
@@ -168,7 +147,7 @@ def test_a_full_disk_is_told_and_stops_nothing(tmp_path):
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))\n"
         "    with Recorder(session, 't', pathlib.Path(sys.argv[1])) as recorder:\n"
         "        for _ in range(100): recorder.command(Command(name='hold'))\n"
-        "        print(recorder.error)"
+        "    print(recorder.error)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path / "flight.mcap")], capture_output=True, text=True, check=False
@@ -176,3 +155,22 @@ def test_a_full_disk_is_told_and_stops_nothing(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "File too large" in done.stdout
     assert flight_log.read(tmp_path).entries
+
+
+def test_many_threads_at_once_do_not_block_each_other(tmp_path):
+    """zenoh calls back from one thread for each peer."""
+    with open_session(listen=free_endpoint()) as session:
+        recorder = Recorder(session, "t", tmp_path / "flight.mcap")
+
+        def send():
+            for _ in range(2000):
+                recorder.command(Command(name="hold"))
+
+        threads = [threading.Thread(target=send, daemon=True) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(60.0)
+        assert not any(thread.is_alive() for thread in threads)
+        recorder.close()
+    assert len(flight_log.read(tmp_path).entries) == 8000

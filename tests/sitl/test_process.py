@@ -3,6 +3,7 @@
 import itertools
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -61,6 +62,22 @@ def test_control_socket():
         assert client.time_ms == 6000
         assert client.ask("quit") == "bye"
         assert sitl.process.wait(5) == 0
+
+
+def test_a_second_control_client_that_resets_its_connection_does_no_harm():
+    """SO_LINGER of 0 s: the other end sees ECONNRESET, before it accepts the client or while it answers it."""
+    with sitl_process() as sitl, lockstep(sitl) as client:
+        assert client.ask("hello").startswith("aerialstar-sitl")
+        for paused in (False, True):
+            for _ in range(10):
+                if paused:
+                    sitl.process.send_signal(signal.SIGSTOP)
+                with socket.create_connection(("127.0.0.1", sitl.control)) as second:
+                    second.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                if paused:
+                    sitl.process.send_signal(signal.SIGCONT)
+                assert client.ask("advance 20").startswith("advanced ")
+        assert sitl.process.poll() is None
 
 
 def test_stands_still_while_the_client_is_silent_and_ends_by_sigterm():

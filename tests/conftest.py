@@ -1,0 +1,9 @@
+"""Settings for all tests."""
+
+import os
+
+from hypothesis import settings
+
+# No example may fail for being slow. CI judges a change by the same examples every time; elsewhere they vary.
+settings.register_profile("aerialstar", deadline=None, derandomize="CI" in os.environ)
+settings.load_profile("aerialstar")

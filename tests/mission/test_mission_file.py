@@ -1,0 +1,163 @@
+"""A mission file says what to fly, and every mistake in it is told in one line."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from mission.mission_file import Mission, MissionError, action_deadline_s, bridge_config, check, dump, load
+from rf_model.scenario import PRESETS
+
+DEMO = Path(__file__).parents[2] / "missions" / "demo.yaml"
+
+
+@pytest.fixture
+def mission(tmp_path):
+    def make(text):
+        path = tmp_path / "m.yaml"
+        path.write_text(text)
+        return path
+
+    return make
+
+
+def test_the_demo_mission_is_sound():
+    demo = load(DEMO)
+    assert (demo.clock, demo.slots, demo.scenario.slots) == ("lockstep", 30, 30)
+    check(demo)
+
+
+def test_an_empty_mapping_is_a_mission_of_defaults(mission):
+    loaded = load(mission("{}"))
+    assert loaded.name == "m"
+    assert loaded.scenario == PRESETS["physical_small"]
+    assert loaded.slots == loaded.scenario.slots
+
+
+@given(
+    st.fixed_dictionaries(
+        {},
+        optional={
+            "seed": st.integers(0, 2**63 - 1),
+            "scenario": st.sampled_from(sorted(PRESETS)) | st.just({"preset": "physical_small", "users": 6}),
+            "slots": st.integers(1, 10**6),
+            "vehicle": st.fixed_dictionaries(
+                {}, optional={"name": st.just("ab"), "sitl": st.just({"parameters": {"SIH_KDV": 0.1}})}
+            ),
+            "limits": st.fixed_dictionaries(
+                {}, optional={"up_mps": st.floats(0.1, 9), "fence_sideways_m": st.floats(0, 1000)}
+            ),
+            "restart": st.sampled_from(["once", "never"]),
+            "record": st.just({"tlog": False}),
+            "at_end": st.sampled_from(["return", "land"]),
+        },
+    ),
+    st.sampled_from([{"policy": {"kind": "random"}}, {"clock": "paced", "speed": 7.5, "policy": {"kind": "hover"}}]),
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+def test_the_resolved_mission_reads_back_as_the_same_one(mission, fields, more):
+    loaded = load(mission(yaml.safe_dump(fields | more)))
+    text = dump(loaded)
+    assert load(mission(text)) == loaded
+    given_again = yaml.safe_load(text)
+    assert set(given_again) == set(Mission.model_fields), "every field with its value"
+    check(loaded)
+
+
+def test_slots_of_mission_and_scenario_agree(mission):
+    assert load(mission("slots: 5")).scenario.slots == 5
+    assert load(mission("scenario: {preset: physical_small, slots: 7}")).slots == 7
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("[1]", ["must hold a mapping", "scenario"]),
+        ("a: [1", ["not YAML"]),
+        ("1: 2", ["1", "keys should be strings"]),
+        ("vehicle: 3", ["vehicle: 3", "dictionary"]),
+        ("seed: -1", ["seed: -1", "greater than or equal to 0"]),
+        ("seed: 1.5", ["seed: 1.5", "integer"]),
+        ("speed: .nan\nclock: paced", ["speed: nan"]),
+        ("speed: 1000\nclock: paced", ["speed: 1000", "100"]),
+        ("clock: fast", ["clock: 'fast'", "'lockstep'", "'paced'"]),
+        ("scenario: 3", ["scenario: 3", "preset"]),
+        ("scenario: {preset: [1]}", ["scenario", "preset"]),
+        ("scenario: {preset: physical_small, rowz: 3}", ["scenario: rowz"]),
+        ("scenario: {preset: physical_small, slot_s: 0.15}\npolicy: {kind: hover}", ["slot_s: 0.15", "0.2"]),
+        ("scenario: {preset: physical_small, start_enu: [0, 0, 500]}", ["start_enu: z = 500", "30 to 120"]),
+        ("policy: {kind: hover, checkpoint: physical_small}", ["policy.checkpoint", "hover"]),
+        ("policy: {kind: genius}", ["policy.kind: 'genius'", "'random'"]),
+        ("policy: {checkpoint: nobody}", ["policy.checkpoint: 'nobody'", ".safetensors"]),
+        ("vehicle: {name: a b}", ["vehicle.name: 'a b'", "letters"]),
+        ("vehicle: {autopilot: 'tcp://1.2.3.4:5'}", ["vehicle.autopilot", "tcp", "'sitl'", "udpin://HOST:PORT"]),
+        (
+            "clock: paced\nvehicle: {autopilot: 'udpin://127.0.0.1:1', sitl: {parameters: {A: 1}}}",
+            ["vehicle.sitl", "'sitl'"],
+        ),
+        ("clock: paced\nspeed: 2\nvehicle: {autopilot: 'udpin://127.0.0.1:1'}", ["speed: 2", "allows 1 at most"]),
+        ("clock: lockstep\nvehicle: {autopilot: 'udpin://127.0.0.1:1'}", ["clock: 'lockstep'", "'paced'"]),
+        ("speed: 2", ["speed: 2", "'paced'"]),
+        ("restart: twice", ["restart: 'twice'", "'once'", "'never'"]),
+        ("record: {mcap: maybe}", ["record.mcap: 'maybe'", "boolean"]),
+        ("seed: -1\nslots: -1\nname: a b", ["(and 2 more)"]),
+    ],
+)
+def test_every_mistake_is_one_line_naming_file_field_value_and_what_is_allowed(mission, text, parts):
+    path = mission(text)
+    with pytest.raises(MissionError) as caught:
+        check(load(path))
+    line = str(caught.value)
+    assert "\n" not in line
+    for part in parts:
+        assert part in line
+    if "slot_s" not in line:
+        assert line.startswith(str(path))
+
+
+def test_an_unknown_key_is_answered_with_the_known_ones_at_every_depth(mission):
+    def sections(model, place):
+        yield place, list(model.model_fields)
+        for name, field in model.model_fields.items():
+            if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel) and name != "scenario":
+                yield from sections(field.annotation, [*place, name])
+
+    for place, known in sections(Mission, []):
+        fields = {"wrong_key": 1}
+        for name in reversed(place):
+            fields = {name: fields}
+        with pytest.raises(MissionError) as caught:
+            load(mission(yaml.safe_dump(fields)))
+        assert f"{'.'.join([*place, 'wrong_key'])}: unknown key, allowed are {', '.join(known)}" in str(caught.value)
+
+
+def test_the_bridge_gets_what_the_mission_says(mission):
+    loaded = load(
+        mission(
+            "scenario: {preset: physical_small, slot_s: 2.0, v_max_mps: 6}\n"
+            "slots: 9\nrestart: never\nat_end: land\n"
+            "limits: {horizontal_mps: 4, fence_sideways_m: 7, fence_vertically_m: 3}\n"
+            "vehicle: {system_id: 9, parameters: {MPC_XY_VEL_MAX: 8}}"
+        )
+    )
+    config = bridge_config(loaded, autopilot="udpin://127.0.0.1:9", control="127.0.0.1:8")
+    assert (config.slots, config.slot_s, config.v_max_mps, config.system_id) == (9, 2.0, 6.0, 9)
+    assert (config.await_restart, config.at_end, config.clock.control) == (False, "land", "127.0.0.1:8")
+    assert config.limits.horizontal_mps == 4
+    assert config.slot_fence.x == (-107.0, 107.0)
+    assert config.slot_fence.z == (27.0, 123.0)
+    assert config.parameters == {"MPC_XY_VEL_MAX": 8}
+    assert action_deadline_s(loaded) == 0.5
+
+
+def test_lockstep_without_a_control_socket_is_refused(mission):
+    with pytest.raises(MissionError, match="--control"):
+        bridge_config(load(mission("{}")))
+
+
+def test_options_replace_fields_and_none_leaves_them(mission):
+    loaded = load(mission("seed: 3\nslots: 4"), seed=None, slots=8, vehicle_name="other")
+    assert (loaded.seed, loaded.slots, loaded.vehicle.name) == (3, 8, "other")
