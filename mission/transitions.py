@@ -21,7 +21,17 @@ from rf_model.reward import reward
 from rf_model.scenario import Scenario
 from rf_model.slot_radio import SlotRadio
 from rf_model.star_ris import Trc
-from rf_model.world import slot_power, slot_rates
+from rf_model.world import slot_rates, track_power
+
+EXACT = {
+    "timing": "pre",
+    "surface": "coupled",
+    "phase_bits": None,
+    "element_loss_db": 0.0,
+    "csi_error_variance": 0.0,
+    "csi_delay_slots": 0,
+}
+"""What a scenario must say for a recording to hold all that a transition takes."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,7 @@ def transitions(run: Path) -> list[Transition]:
     FlightLogError or MissionError when the folder holds no readable flight.
     """
     mission = load(run / MISSION_NAME)
+    require_exact(mission.scenario, run)
     log = read(run)
     opened = log.by_slot(topics.SLOT)
     channels = log.by_slot(topics.CSI)
@@ -72,6 +83,17 @@ def transitions(run: Path) -> list[Transition]:
             )
         )
     return found
+
+
+def require_exact(scenario: Scenario, run: Path) -> None:
+    """Raise FlightLogError for a scenario in which a slot's worth is not that of what the agent saw and sent.
+
+    There the channels in the recording are not those of the rates, or the action is not that of the surface.
+    """
+    for field, exact in EXACT.items():
+        value = getattr(scenario, field)
+        if value != exact:
+            raise FlightLogError(f"{run}: scenario.{field}: {value!r}: transitions are rebuilt only with {exact!r}")
 
 
 def data_set(runs: Sequence[Path]) -> tuple[Scenario, Transitions]:
@@ -114,9 +136,7 @@ def slot_reward(scenario: Scenario, channels: ChannelState, configuration: RisCo
     time_s = torch.tensor([sample.time_s for sample in flown.track], dtype=torch.float64)
     velocity = torch.tensor([sample.velocity_enu for sample in flown.track], dtype=torch.float64)
     yaw = torch.tensor(channels.attitude_rad[2], dtype=torch.float64)
-    power = slot_power(scenario, velocity, yaw)
-    mean = torch.trapezoid(power, time_s) / (time_s[-1] - time_s[0])
-    return reward(scenario, rates.fair_rate_bps, mean).item()
+    return reward(scenario, rates.fair_rate_bps, track_power(scenario, time_s, velocity, yaw)).item()
 
 
 def encode(displacement_enu: Vec3, configuration: RisConfiguration, scenario: Scenario) -> Tensor:
