@@ -46,6 +46,7 @@ def test_the_installed_command_is_this_one():
         (["train", "--offline"], "--offline"),
         (["train", "--preset", "big", "--out", "{tmp}/out"], "physical_small"),
         (["train", "--episodes", "0", "--out", "{tmp}/out"], "episodes: 0 is not allowed"),
+        (["train", "--out", "/proc/x"], "--out: '/proc/x' cannot be made"),
         (["train", "--config", "{tmp}/none.yaml"], "none.yaml"),
         (["train", "--offline", "{tmp}"], "mission.yaml"),
     ],
