@@ -1,7 +1,7 @@
 """The mission file: YAML in, one frozen and validated `Mission` out, or one line that says what is wrong with it."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -27,8 +27,29 @@ class MissionError(ValueError):
     """A mission that cannot be flown as written; one line naming file, field, value and what is allowed."""
 
 
+class _Loader(yaml.SafeLoader):
+    """YAML in which a key given twice is a mistake, and `1e3` a number as in YAML 1.2."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                line = key.start_mark.line + 1
+                if key.value in lines:
+                    raise MissionError(f"{key.value}: given twice, in lines {lines[key.value]} and {line}")
+                lines[key.value] = line
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    """No value is converted, except whole numbers to floats: `slots: "10"` is a mistake."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Sitl(_Strict):
@@ -81,6 +102,8 @@ class VehicleSection(_Strict):
 class LimitsSection(Limits):
     """What may be asked of the vehicle: speeds, acceleration, and the fence about the scenario's box."""
 
+    model_config = ConfigDict(strict=True)
+
     fence_sideways_m: Margin = 10.0
     """How far outside the box the fence stands."""
     fence_vertically_m: Margin = 5.0
@@ -112,7 +135,7 @@ class Mission(_Strict):
     """Whether a radio or agent node that dies is started again."""
     record: Record = Record()
     at_end: Literal["return", "land"] = "return"
-    output: Path = Path("runs")
+    output: Annotated[Path, Field(strict=False)] = Path("runs")
     """Folder for run folders, relative to where the command runs."""
 
     @model_validator(mode="before")
@@ -159,7 +182,9 @@ class Mission(_Strict):
 def load(path: Path, vehicle_name: str | None = None, **overrides: object) -> Mission:
     """Read a mission file; `overrides` replace top-level fields (None leaves a field alone). Raises MissionError."""
     try:
-        fields = yaml.safe_load(path.read_text(encoding="utf-8"))
+        fields = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except MissionError as error:
+        raise MissionError(f"{path}: {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise MissionError(f"{path}: {why}") from error

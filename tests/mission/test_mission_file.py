@@ -67,6 +67,12 @@ def test_the_resolved_mission_reads_back_as_the_same_one(mission, fields, more):
     check(loaded)
 
 
+def test_whole_numbers_and_exponents_are_numbers(mission):
+    loaded = load(mission("clock: paced\nspeed: 5\nvehicle: {sitl: {parameters: {SIH_KDV: 1e-1, SIH_MASS: 2}}}"))
+    assert loaded.speed == 5.0
+    assert loaded.vehicle.sitl.parameters == {"SIH_KDV": 0.1, "SIH_MASS": 2.0}
+
+
 def test_slots_of_mission_and_scenario_agree(mission):
     assert load(mission("slots: 5")).scenario.slots == 5
     assert load(mission("scenario: {preset: physical_small, slots: 7}")).slots == 7
@@ -102,6 +108,17 @@ def test_slots_of_mission_and_scenario_agree(mission):
         ("clock: lockstep\nvehicle: {autopilot: 'udpin://127.0.0.1:1'}", ["clock: 'lockstep'", "'paced'"]),
         ("speed: 2", ["speed: 2", "'paced'"]),
         ("restart: twice", ["restart: 'twice'", "'once'", "'never'"]),
+        ('slots: "10"', ["slots: '10'", "integer"]),
+        ("slots: 10.0", ["slots: 10.0", "integer"]),
+        ("slots: true", ["slots: True", "integer"]),
+        ("seed: true", ["seed: True", "integer"]),
+        ("vehicle: {system_id: 1.0}", ["vehicle.system_id: 1.0", "integer"]),
+        ('record: {tlog: "no"}', ["record.tlog: 'no'", "boolean"]),
+        ('limits: {up_mps: "2"}', ["limits.up_mps: '2'", "number"]),
+        ("speed: true\nclock: paced", ["speed: True", "number"]),
+        ('vehicle: {parameters: {MPC_XY_VEL_MAX: "8"}}', ["vehicle.parameters.MPC_XY_VEL_MAX: '8'", "number"]),
+        ("seed: 1\nslots: 3\nseed: 2", ["seed: given twice, in lines 1 and 3"]),
+        ("vehicle:\n  name: a\n  name: b", ["name: given twice, in lines 2 and 3"]),
         ("record: {mcap: maybe}", ["record.mcap: 'maybe'", "boolean"]),
         ("seed: -1\nslots: -1\nname: a b", ["(and 2 more)"]),
     ],
