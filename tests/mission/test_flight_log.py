@@ -154,6 +154,7 @@ def test_a_full_disk_is_told_and_stops_nothing(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "File too large" in done.stdout
+    assert done.stderr == "", "foxglove-sdk has nothing to say about it"
     assert flight_log.read(tmp_path).entries
 
 
