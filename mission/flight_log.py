@@ -85,7 +85,8 @@ def read(run: Path) -> FlightLog:
                         entries.append(Entry(topics[item.channel_id], item.log_time / 1e9, item.data))
                 complete = isinstance(record, Footer)
                 read_to = file.tell()
-        except (McapError, struct.error, zstandard.ZstdError, ValueError, KeyError) as error:
+        except (McapError, struct.error, zstandard.ZstdError, ValueError, KeyError, OverflowError) as error:
+            # OverflowError: the writer died with a chunk's length still to be filled in (it reads 2^64 - 1)
             if read_to == 0 and path.stat().st_size > 0:  # nothing at all is a recorder killed at its start
                 raise FlightLogError(f"{path}: not an MCAP file ({error!r})") from error
         size = file.seek(0, 2)

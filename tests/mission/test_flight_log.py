@@ -98,6 +98,28 @@ def test_a_file_cut_anywhere_gives_what_was_whole(run, tmp_path_factory):
     assert seen == len(entries)
 
 
+CHUNK = 6
+"""MCAP's opcode."""
+
+
+def test_a_writer_killed_before_it_filled_in_a_chunks_lengths_loses_that_chunk_only(run, tmp_path):
+    """The writer puts 2^64 - 1 where record and data lengths go, and comes back when the chunk is whole."""
+    whole = (run / "flight.mcap").read_bytes()
+    entries = flight_log.read(run).entries
+    at, chunks = 8, []  # after the magic bytes, records: opcode, length, content
+    while at < len(whole) - 8:
+        chunks += [at] if whole[at] == CHUNK else []
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    unknown = b"\xff" * 8
+    header = bytes([CHUNK]) + unknown + bytes(8 + 8 + 8 + 4) + bytes(4) + unknown
+    cut = chunks[-2]
+    (tmp_path / "flight.mcap").write_bytes(whole[:cut] + header + b'{"half')
+    log = flight_log.read(tmp_path)
+    assert not log.complete
+    assert 0 < len(log.entries) < len(entries)
+    assert log.entries == entries[: len(log.entries)]
+
+
 @pytest.mark.parametrize("content", [None, b"not an mcap file at all"])
 def test_what_is_no_log_is_a_clear_error(tmp_path, content):
     if content is not None:
