@@ -18,6 +18,7 @@ from bus.messages import Command, CommandName, LinkReport, MissionEvent, SlotOpe
 from bus.session import free_endpoint, open_session
 from mission import run_folder
 from mission.flight_log import FILE_NAME as LOG_NAME
+from mission.flight_log import FlightLogError
 from mission.mission_file import Mission
 from mission.progress import FlightView
 from mission.recorder import Recorder
@@ -34,7 +35,11 @@ COME_DOWN_S = 600.0
 """Wall clock for the vehicle to come down by its failsafe."""
 FAILSAFE_SPEED = 10.0
 """How fast the embedded autopilot flies its failsafe after a lockstep flight lost its bridge: nobody's clock runs."""
+START_RETRY_S = 0.2
+"""Wall clock between two `start` commands, when the first was refused or not answered."""
 LOOP_NODES = ("bridge", "rf", "agent")
+BEFORE_START = ("connecting", "preflight", "ready", "ended")
+"""The bridge's phases in which no `start` need have been obeyed."""
 
 _Item = VehicleState | SlotOpened | LinkReport | MissionEvent | tuple[str, bool]
 
@@ -48,7 +53,7 @@ def fly(mission: Mission, console: Console) -> int:
 
     No process is left behind, except for an embedded autopilot that a second Ctrl-C left in the air: it lands by its
     failsafe and ends. Raises MissionError when the run folder cannot be made, BusError when the bus cannot be opened,
-    FlightError when a node does not come up or the bridge ends in an error (exit code 1).
+    FlightError when a node does not come up, the bridge ends in an error or the run folder is full (exit code 1).
     """
     run = run_folder.make(mission)
     flight = _Flight(mission, run, console)
@@ -57,8 +62,13 @@ def fly(mission: Mission, console: Console) -> int:
             code = flight.run()
         except FlightError as error:
             raise FlightError(f"{error}; logs are in {run / 'logs'}") from error
+        except OSError as error:
+            raise FlightError(f"{run}: {_reason(error)}") from error
         if mission.record.mcap and not flight.abandoned:
-            report = write(run)
+            try:
+                report = write(run)
+            except (OSError, FlightLogError) as error:
+                raise FlightError(f"{run}: no report: {_reason(error)}") from error
             if report.slots:
                 console.print(table(report))
     console.print(f"run folder: {run}", highlight=False, soft_wrap=True)
@@ -90,6 +100,10 @@ class _Flight:
         self._alive: set[str] = set()
         self._armed = False
         self._started = False
+        self._start_at = 0.0
+        """When to ask for the start again (monotonic clock)."""
+        self._unstarted = ""
+        """Why the last `start` was not taken."""
         self._ended: MissionEvent | None = None
         self._why = ""
         """The last error or failsafe told."""
@@ -142,7 +156,9 @@ class _Flight:
         for name in ("rf", "agent"):
             self._nodes[name] = Node(name, python("mission", name, *common), logs)
         if mission.clock == "lockstep":
-            bridge_options += ["--control", self._control_socket(self._nodes["sitl"])]
+            bridge_options += ["--control", self._await_printed(self._nodes["sitl"], "control ")]
+        elif mission.embedded:
+            self._await_printed(self._nodes["sitl"], "companion ")
         if mission.record.tlog:
             bridge_options += ["--tlog", str(self._run / "flight.tlog")]
         self._nodes["bridge"] = Node("bridge", python("mission", "bridge", *common, *bridge_options), logs)
@@ -164,17 +180,22 @@ class _Flight:
             ),
         )
 
-    def _control_socket(self, sitl: Node) -> str:
+    def _await_printed(self, sitl: Node, start: str) -> str:
+        """The line about a socket, which the SITL prints when it is ready: its flight model may have to compile."""
         deadline = time.monotonic() + START_S
-        while (address := sitl.printed("control ")) is None:
+        compiling = False
+        while (line := sitl.printed(start)) is None:
             if not sitl.running:
                 raise FlightError(_told(sitl))
             if self._interrupts:
                 raise FlightError("interrupted before the start")
             if time.monotonic() > deadline:
                 raise FlightError(f"sitl: not up after {START_S:g} s ({sitl.last_words})")
+            if not compiling and (what := sitl.printed("compiling ")) is not None:
+                compiling = True
+                self._view.note(f"sitl: compiling {what}")
             self._hear(0.02)
-        return address
+        return line
 
     def _gather(self) -> None:
         """End every process; an embedded autopilot that still flies gets the time to land."""
@@ -200,15 +221,25 @@ class _Flight:
             if not bridge.running:
                 return self._bridge_over(bridge)
             self._check_others()
-            if not self._started and self._alive.issuperset(LOOP_NODES):
+            if not self._started and self._alive.issuperset(LOOP_NODES) and time.monotonic() >= self._start_at:
                 self._start_flight()
             if not self._started and time.monotonic() > deadline:
                 missing = ", ".join(name for name in LOOP_NODES if name not in self._alive)
-                raise FlightError(f"not on the bus after {START_S:g} s: {missing}")
+                raise FlightError(
+                    f"not on the bus after {START_S:g} s: {missing}"
+                    if missing
+                    else f"not started after {START_S:g} s: {self._unstarted}"
+                )
 
     def _start_flight(self) -> None:
-        self._command("start")
-        self._started = True
+        """Ask for the start; a bridge that says no, or nothing, is asked again later."""
+        why_not = self._command("start")
+        if why_not is None:
+            self._started = True
+            return
+        if why_not != self._unstarted:
+            self._view.note(why_not)
+        self._unstarted, self._start_at = why_not, time.monotonic() + START_RETRY_S
 
     def _interrupted(self) -> int | None:
         if not self._started:
@@ -219,21 +250,22 @@ class _Flight:
             self._view.note("Ctrl-C again: the nodes end, the vehicle is left to its autopilot's failsafe")
             return ERROR
         self._view.note("Ctrl-C: landing (once more: end now and leave the vehicle to its failsafe)")
-        self._command("land")
+        why_not = self._command("land")
+        if why_not is not None:
+            self._view.note(why_not)
         return None
 
-    def _command(self, name: CommandName) -> None:
+    def _command(self, name: CommandName) -> str | None:
+        """Ask the bridge for something; why it will not do it, or None when it will."""
         command = Command(name=name)
         try:
             reply = topics.send_command(self._session, self._mission.vehicle.name, command)
-        except TimeoutError as error:
-            self._view.note(str(error))
-            return
+        except (TimeoutError, topics.RefusedError) as error:
+            return str(error)
         if self._recorder is not None:
             self._recorder.command(command)
             self._recorder.command(reply)
-        if not reply.accepted:
-            self._view.note(f"{name} was refused: {reply.reason}")
+        return None if reply.accepted else f"{name} was refused: {reply.reason}"
 
     def _bridge_over(self, bridge: Node) -> int:
         deadline = time.monotonic() + 1.0
@@ -300,13 +332,14 @@ class _Flight:
             self._take(item)
         if self._recorder is not None and self._recorder.error is not None and not self._recording_stopped:
             self._recording_stopped = True
-            self._view.note(f"recording stopped: {self._recorder.error}")
+            self._view.note(f"recording stopped: {_reason(self._recorder.error)}")
         self._view.show()
 
     def _take(self, item: _Item) -> None:
         match item:
             case VehicleState():
                 self._armed = item.armed
+                self._started |= item.phase not in BEFORE_START  # also when the answer to `start` was lost
                 self._view.state(item)
             case SlotOpened():
                 self._view.slot(item)
@@ -328,6 +361,11 @@ def _told(node: Node) -> str:
     """Why a node did not come up, in its own last words."""
     words = node.last_words.removeprefix("error: ").removeprefix(f"{node.name}: ")
     return f"{node.name}: {words} ({describe_exit(node.exit_code or 0)})"
+
+
+def _reason(error: Exception) -> str:
+    """Without the error's number."""
+    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
 
 
 def _free_udp_port() -> int:
