@@ -15,6 +15,9 @@ from agent.training import POLICY_FILE, Result, TrainingError, judge, save_polic
 from agent.training_config import TrainingConfig
 from rf_model.scenario import Scenario
 
+BATCH_MIN = 2
+"""Batch norm needs a spread."""
+
 
 @dataclass(frozen=True)
 class Transitions:
@@ -56,11 +59,13 @@ def train_offline(
 
     First both actors imitate what was executed, then `config.offline_updates` DA-DDPG updates improve on it while the
     cloning loss keeps them near the data, where the critic knows what it says. The result is judged in simulated
-    worlds of the same scenario. Raises TrainingError when the transitions are too few, not finite or of another
-    scenario's sizes, or when the folder holds a run already.
+    worlds of the same scenario. Fewer transitions than `config.batch_size` are sampled in batches of that many. Raises
+    TrainingError when there are fewer than two, when they are not finite or of another scenario's sizes, or when the
+    folder holds a run already.
     """
     agent = DualActorDdpg(sizes(scenario), config)
-    replay = _replay(transitions, agent, config)
+    replay = _replay(transitions, agent)
+    batch_size = min(config.batch_size, len(replay))
     folder.mkdir(parents=True, exist_ok=True)
     policy_file = folder / POLICY_FILE
     if policy_file.exists():
@@ -69,7 +74,7 @@ def train_offline(
     generator = torch.Generator().manual_seed(config.seed)
     total = config.clone_updates + config.offline_updates
     for count in range(1, total + 1):
-        batch = replay.sample(config.batch_size, generator)
+        batch = replay.sample(batch_size, generator)
         cloning = count <= config.clone_updates
         loss = agent.clone(batch) if cloning else agent.update(batch, cloning=config.cloning).critic
         if count % 100 == 0 or count == total:
@@ -78,11 +83,11 @@ def train_offline(
     return judge(policy_file, scenario, config)
 
 
-def _replay(transitions: Transitions, agent: DualActorDdpg, config: TrainingConfig) -> ReplayBuffer:
+def _replay(transitions: Transitions, agent: DualActorDdpg) -> ReplayBuffer:
     """All transitions as a replay buffer, actions clipped and signs as -1 or +1, as decoding reads them."""
     count, size = len(transitions.reward), agent.sizes
-    if count < config.batch_size:
-        raise TrainingError(f"offline: {count} transitions are fewer than one batch ({config.batch_size})")
+    if count < BATCH_MIN:
+        raise TrainingError(f"offline: {count} transitions are too few; at least {BATCH_MIN} are needed")
     for name, width in (("observation", size.state), ("next_observation", size.state), ("action", size.action)):
         shape = getattr(transitions, name).shape
         if shape != (count, width):

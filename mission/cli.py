@@ -1,5 +1,6 @@
 """The command line, `aerialstar`. Commands import what they need when they run, so that `--help` is instant."""
 
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from mission.mission_file import Mission
 
 ERROR, BAD_INPUT = 1, 2
+ENDPOINT = re.compile(r"[a-z][a-z0-9_-]*/\S+")
+"""Of zenoh; the bus says what else is wrong with it."""
 
 app = typer.Typer(
     name="aerialstar",
@@ -25,12 +28,22 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+def _endpoints(given: str | list[str] | None) -> str | list[str] | None:
+    for endpoint in [given] if isinstance(given, str) else given or ():
+        if not ENDPOINT.fullmatch(endpoint):
+            raise typer.BadParameter(f"{endpoint!r} must be PROTOCOL/ADDRESS, e.g. tcp/127.0.0.1:7447")
+    return given
+
+
 MissionOption = Annotated[Path, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")]
 VehicleOption = Annotated[str | None, typer.Option(metavar="NAME", help="Vehicle on the bus; else the mission's.")]
 ConnectOption = Annotated[
-    list[str] | None, typer.Option(metavar="ENDPOINT", help="Zenoh endpoint, e.g. tcp/127.0.0.1:7447; repeatable.")
+    list[str] | None,
+    typer.Option(metavar="ENDPOINT", callback=_endpoints, help="Zenoh endpoint, e.g. tcp/127.0.0.1:7447; repeatable."),
 ]
-ListenOption = Annotated[str, typer.Option(metavar="ENDPOINT", help="Where this node listens.")]
+ListenOption = Annotated[str, typer.Option(metavar="ENDPOINT", callback=_endpoints, help="Where this node listens.")]
 ConfigOption = Annotated[
     Path | None, typer.Option("--zenoh-config", metavar="FILE", help="Zenoh config file (hosts, TLS, access control).")
 ]

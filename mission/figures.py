@@ -76,7 +76,7 @@ def draw(log: FlightLog, report: Report, scenario: Scenario | None, path: Path) 
             x=0.01,
             ha="left",
         )
-        figure.savefig(path, dpi=120, facecolor="white")
+        figure.savefig(path, format="png", dpi=120, facecolor="white")
 
 
 def _trajectory(axes: Axes3D, flown: list[TrackSample], links: list[LinkReport], scenario: Scenario | None) -> None:

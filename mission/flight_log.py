@@ -10,6 +10,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Footer
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
 
 from bus.messages import Action as ActionMessage
 from bus.messages import ChannelState, LinkReport, Message, RisConfiguration, SlotOpened
@@ -75,7 +76,9 @@ def read(run: Path) -> FlightLog:
     vehicle = ""
     complete = False
     with path.open("rb") as file:
-        read_to = 0
+        if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
+            raise FlightLogError(f"{path}: not an MCAP file")
+        read_to = file.seek(0)
         try:
             for record in StreamReader(file, emit_chunks=True).records:
                 for item in breakup_chunk(record) if isinstance(record, Chunk) else [record]:
@@ -85,8 +88,7 @@ def read(run: Path) -> FlightLog:
                         entries.append(Entry(topics[item.channel_id], item.log_time / 1e9, item.data))
                 complete = isinstance(record, Footer)
                 read_to = file.tell()
-        except (McapError, struct.error, zstandard.ZstdError, ValueError, KeyError) as error:
-            if read_to == 0 and path.stat().st_size > 0:  # nothing at all is a recorder killed at its start
-                raise FlightLogError(f"{path}: not an MCAP file ({error!r})") from error
+        except (McapError, struct.error, zstandard.ZstdError, ValueError, KeyError, OverflowError):
+            pass  # cut here; OverflowError: the writer died before it filled in a length, which reads 2^64 - 1
         size = file.seek(0, 2)
     return FlightLog(path, vehicle, tuple(entries), complete, 0 if complete else size - read_to)

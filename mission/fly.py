@@ -18,6 +18,7 @@ from bus.messages import Command, CommandName, LinkReport, MissionEvent, SlotOpe
 from bus.session import free_endpoint, open_session
 from mission import run_folder
 from mission.flight_log import FILE_NAME as LOG_NAME
+from mission.flight_log import FlightLogError
 from mission.mission_file import Mission
 from mission.progress import FlightView
 from mission.recorder import Recorder
@@ -52,7 +53,7 @@ def fly(mission: Mission, console: Console) -> int:
 
     No process is left behind, except for an embedded autopilot that a second Ctrl-C left in the air: it lands by its
     failsafe and ends. Raises MissionError when the run folder cannot be made, BusError when the bus cannot be opened,
-    FlightError when a node does not come up or the bridge ends in an error (exit code 1).
+    FlightError when a node does not come up, the bridge ends in an error or the run folder is full (exit code 1).
     """
     run = run_folder.make(mission)
     flight = _Flight(mission, run, console)
@@ -61,8 +62,13 @@ def fly(mission: Mission, console: Console) -> int:
             code = flight.run()
         except FlightError as error:
             raise FlightError(f"{error}; logs are in {run / 'logs'}") from error
+        except OSError as error:
+            raise FlightError(f"{run}: {_reason(error)}") from error
         if mission.record.mcap and not flight.abandoned:
-            report = write(run)
+            try:
+                report = write(run)
+            except (OSError, FlightLogError) as error:
+                raise FlightError(f"{run}: no report: {_reason(error)}") from error
             if report.slots:
                 console.print(table(report))
     console.print(f"run folder: {run}", highlight=False, soft_wrap=True)
@@ -326,7 +332,7 @@ class _Flight:
             self._take(item)
         if self._recorder is not None and self._recorder.error is not None and not self._recording_stopped:
             self._recording_stopped = True
-            self._view.note(f"recording stopped: {self._recorder.error}")
+            self._view.note(f"recording stopped: {_reason(self._recorder.error)}")
         self._view.show()
 
     def _take(self, item: _Item) -> None:
@@ -355,6 +361,11 @@ def _told(node: Node) -> str:
     """Why a node did not come up, in its own last words."""
     words = node.last_words.removeprefix("error: ").removeprefix(f"{node.name}: ")
     return f"{node.name}: {words} ({describe_exit(node.exit_code or 0)})"
+
+
+def _reason(error: Exception) -> str:
+    """Without the error's number."""
+    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
 
 
 def _free_udp_port() -> int:

@@ -1,7 +1,8 @@
 """The mission file: YAML in, one frozen and validated `Mission` out, or one line that says what is wrong with it."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -12,12 +13,26 @@ from pydantic_core import ErrorDetails
 from agent.checkpoint import CheckpointError, read_metadata, require_fit
 from agent.policy import PolicyConfig
 from autopilot_bridge.config import Box, BridgeConfig, Limits, LockstepClock, PacedClock, udpin_address
-from rf_model.scenario import Scenario, ScenarioError, make_scenario, preset
+from rf_model.scenario import PRESETS, Scenario, ScenarioError, make_scenario, preset
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 EMBEDDED = "sitl"
+BRIDGE_FIELDS = {
+    "autopilot": "vehicle.autopilot",
+    "system_id": "vehicle.system_id",
+    "parameters": "vehicle.parameters",
+    "slot_s": "scenario.slot_s",
+    "v_max_mps": "scenario.v_max_mps",
+    "start_position_enu": "scenario.start_enu",
+    "panel_heading_rad": "scenario.panel_heading_rad",
+    "box": "scenario.box_enu",
+}
+"""Where the mission file says what the bridge's config takes from it."""
 ANY_CONTROL = "127.0.0.1:1"
 """Stands for the control socket while none is open yet."""
+
+VALUE_MAX = 80
+"""Longer values are not shown in an error."""
 
 Margin = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 Parameters = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
@@ -27,8 +42,29 @@ class MissionError(ValueError):
     """A mission that cannot be flown as written; one line naming file, field, value and what is allowed."""
 
 
+class _Loader(yaml.SafeLoader):
+    """YAML in which a key given twice is a mistake, and `1e3` a number as in YAML 1.2."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                line = key.start_mark.line + 1
+                if key.value in lines:
+                    raise MissionError(f"{key.value}: given twice, in lines {lines[key.value]} and {line}")
+                lines[key.value] = line
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    """No value is converted, except whole numbers to floats: `slots: "10"` is a mistake."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Sitl(_Strict):
@@ -81,6 +117,8 @@ class VehicleSection(_Strict):
 class LimitsSection(Limits):
     """What may be asked of the vehicle: speeds, acceleration, and the fence about the scenario's box."""
 
+    model_config = ConfigDict(strict=True)
+
     fence_sideways_m: Margin = 10.0
     """How far outside the box the fence stands."""
     fence_vertically_m: Margin = 5.0
@@ -112,7 +150,7 @@ class Mission(_Strict):
     """Whether a radio or agent node that dies is started again."""
     record: Record = Record()
     at_end: Literal["return", "land"] = "return"
-    output: Path = Path("runs")
+    output: Annotated[Path, Field(strict=False)] = Path("runs")
     """Folder for run folders, relative to where the command runs."""
 
     @model_validator(mode="before")
@@ -159,7 +197,9 @@ class Mission(_Strict):
 def load(path: Path, vehicle_name: str | None = None, **overrides: object) -> Mission:
     """Read a mission file; `overrides` replace top-level fields (None leaves a field alone). Raises MissionError."""
     try:
-        fields = yaml.safe_load(path.read_text(encoding="utf-8"))
+        fields = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except MissionError as error:
+        raise MissionError(f"{path}: {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise MissionError(f"{path}: {why}") from error
@@ -232,7 +272,9 @@ def bridge_config(
             autostart=autostart,
         )
     except ValidationError as error:
-        raise MissionError(one_line(error, BridgeConfig)) from error
+        line = one_line(error, BridgeConfig)
+        name = re.match(r"\w*", line)[0]  # type: ignore[index]  # \w* always matches
+        raise MissionError(BRIDGE_FIELDS.get(name, name) + line.removeprefix(name)) from error
 
 
 def action_deadline_s(mission: Mission) -> float:
@@ -258,7 +300,9 @@ def _line(detail: ErrorDetails, model: type[BaseModel]) -> str:
         # Validators of whole sections begin with the name of the field that they mean.
         of_section = isinstance(detail["input"], Mapping | BaseModel)
         return f"{field}{'.' if field and of_section else ': ' if field else ''}{message}"
-    value = "..." if isinstance(detail["input"], Mapping) else repr(detail["input"])
+    value = repr(detail["input"])
+    if len(value) > VALUE_MAX:
+        value = "..."
     return f"{field}: {value} is not allowed: {message[:1].lower()}{message[1:]}"
 
 
@@ -272,14 +316,30 @@ def _fields_at(model: type[BaseModel], parents: tuple[int | str, ...]) -> list[s
 
 def _scenario(given: object) -> Scenario:
     """A preset's name, `{preset: ..., overrides}`, or all fields. Raises ValueError (pydantic shows it)."""
-    try:
-        if isinstance(given, str):
+    if isinstance(given, str):
+        try:
             return preset(given)
-        if isinstance(given, Mapping) and all(isinstance(name, str) for name in given):
-            fields = dict(given)
-            return preset(fields.pop("preset"), **fields) if "preset" in fields else make_scenario(fields)
+        except ScenarioError as error:
+            raise ValueError(f"scenario: {str(error).removeprefix('preset: ')}") from error
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        raise ValueError(f"scenario: {given!r} must be a preset's name or a mapping of scenario fields")
+    fields = dict(given)
+    known = ["preset", *Scenario.model_fields]
+    for name in fields:
+        if name not in known:
+            raise ValueError(f"scenario.{name}: unknown key, {_nearest(name, known)}")
+    try:
+        if "preset" not in fields:
+            return make_scenario(fields)
+        name = fields.pop("preset")
+        if not isinstance(name, str):
+            raise ScenarioError(f"preset: {name!r} is not one of {', '.join(PRESETS)}")
+        return preset(name, **fields)
     except ScenarioError as error:
-        raise ValueError(f"scenario: {error}") from error
-    except TypeError as error:  # an unhashable preset
-        raise ValueError(f"scenario: preset: {given!r} is not a name") from error
-    raise ValueError(f"scenario: {given!r} must be a preset's name or a mapping of scenario fields")
+        raise ValueError(f"scenario.{error}") from error
+
+
+def _nearest(name: str, known: list[str]) -> str:
+    """What somebody who wrote `name` may have meant; all there is when nothing is like it."""
+    near = get_close_matches(name, known)
+    return f"did you mean {' or '.join(near)}?" if near else f"allowed are {', '.join(known)}"

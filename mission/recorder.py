@@ -7,6 +7,7 @@ Only one thread touches foxglove-sdk: it holds a lock of its own while it calls 
 threads that log would wait for each other for ever.
 """
 
+import os
 import queue
 import threading
 import time
@@ -36,21 +37,33 @@ class _Received:
 
 
 class _File:
-    """What foxglove-sdk writes to; keeps the first error, which the SDK would only print."""
+    """What foxglove-sdk writes to.
+
+    The first error (e.g. a full disk) is kept and ends the writing, but the SDK, which would print a traceback for each
+    message from then on, sees a file that goes on growing.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("xb", buffering=0)
+        self._position = 0
         self.error: OSError | None = None
 
     def write(self, data: bytes | bytearray) -> int:
-        try:
-            return self._file.write(data)
-        except OSError as error:
-            self.error = error
-            raise
+        written = len(data)
+        if self.error is None:
+            try:
+                written = self._file.write(data)
+            except OSError as error:
+                self.error = error
+        self._position += written
+        return written
 
-    def seek(self, offset: int, whence: int = 0) -> int:
-        return self._file.seek(offset, whence)
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        if self.error is None:
+            self._position = self._file.seek(offset, whence)
+        else:
+            self._position = offset + (0 if whence == os.SEEK_SET else self._position)
+        return self._position
 
     def flush(self) -> None:
         """Nothing is buffered."""
@@ -118,11 +131,7 @@ class Recorder:
             if self._file.error is None:
                 channel = self._channel(received.keyexpr, received.encoding)
                 channel.log(received.payload, log_time=received.wall_ns)
-        try:
-            self._writer.close()
-        except RuntimeError:
-            if self._file.error is None:
-                raise
+        self._writer.close()
 
     def _channel(self, keyexpr: str, wire_encoding: str) -> foxglove.Channel:
         channel = self._channels.get((keyexpr, wire_encoding))

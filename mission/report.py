@@ -2,7 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -152,17 +153,31 @@ def write(run: Path) -> Report:
     """Read a run folder and write `report.json` and, when a slot was flown, `report.png` into it.
 
     Raises FlightLogError when there is no log, MissionError when its mission.yaml is broken, OSError when the folder
-    cannot be written.
+    cannot be written; a file is then as it was before.
     """
     log = read(run)
     mission = _mission(run)
     report = summarise(run, log, mission)
-    (run / FILE_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
+    text = msgspec.json.format(msgspec.json.encode(report)) + b"\n"
+    with _replacing(run / FILE_NAME) as part:
+        part.write_bytes(text)
     if report.slots:
         from mission.figures import draw  # matplotlib takes a second to import
 
-        draw(log, report, mission.scenario if mission else None, run / PICTURE_NAME)
+        with _replacing(run / PICTURE_NAME) as part:
+            draw(log, report, mission.scenario if mission else None, part)
     return report
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Where to write what is to become `path` when it is whole."""
+    part = path.with_name(f"{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _mission(run: Path) -> Mission | None:

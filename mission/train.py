@@ -1,5 +1,7 @@
 """`aerialstar train`: configs read, progress shown, the outcome told beside what no learning gives."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,10 +52,12 @@ def learn_online(preset: str, config: TrainingConfig, out: Path, *, resume: bool
     scenario = scenarios.preset(preset)
     from agent import training  # torch
 
+    _make(out)
     with _bar() as bar:
         task = bar.add_task("training", total=config.episodes, note="")
 
         def show(progress: training.Progress) -> None:
+            bar.start()
             note = f"reward {progress.reward:8.2f}"
             if progress.evaluation is not None:
                 bar.console.print(f"{progress.episodes:7d} episodes: evaluated {progress.evaluation}", highlight=False)
@@ -73,10 +77,12 @@ def learn_offline(runs: list[Path], config: TrainingConfig, out: Path) -> None:
     from mission.transitions import data_set
 
     scenario, data = data_set(runs)
+    _make(out)
     with _bar() as bar:
         task = bar.add_task("training", total=config.clone_updates + config.offline_updates, note="")
 
         def show(progress: OfflineProgress) -> None:
+            bar.start()
             note = f"{'cloning' if progress.cloning else 'DA-DDPG'} loss {progress.loss:.4f}"
             bar.update(task, completed=progress.updates, note=note)
 
@@ -88,14 +94,31 @@ def learn_offline(runs: list[Path], config: TrainingConfig, out: Path) -> None:
     _tell(result)
 
 
-def _bar() -> Progress:
-    return Progress(
+def _make(out: Path) -> None:
+    """Make the output folder before hours are spent. Raises TrainInputError."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TrainInputError(
+            f"--out: {str(out)!r} cannot be made ({error.strerror}); name a writable folder"
+        ) from error
+
+
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    """A bar to `start` with the first progress, so that what is refused before that draws none."""
+    bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
+    try:
+        yield bar
+    finally:
+        if bar.live.is_started:
+            bar.stop()
 
 
 def _tell(result: "Result") -> None:

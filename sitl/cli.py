@@ -45,12 +45,12 @@ def sitl(
         for assignment in param or ():
             parameters.assign(assignment)
     except ParameterError as error:
-        print(f"sitl: {error}", file=sys.stderr)
+        print(f"error: {error}", file=sys.stderr)
         raise typer.Exit(2) from None
     try:
         origin = read_origin(home)
     except ValueError as error:
-        print(f"sitl: --home: {error}", file=sys.stderr)
+        print(f"error: --home: {error}", file=sys.stderr)
         raise typer.Exit(2) from None
 
     from sitl.server import Options, run

@@ -219,7 +219,7 @@ def run(options: Options) -> int:
     except Stopped:
         return 0
     except PortError as error:
-        print(f"sitl: {error}", file=sys.stderr)
+        print(f"error: {error}", file=sys.stderr)
         return 2
     finally:
         if server is not None:

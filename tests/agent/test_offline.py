@@ -64,13 +64,24 @@ def test_updates_stay_near_the_data_and_the_result_is_judged(tmp_path):
     assert again.mean == pytest.approx(result.trained.mean)
 
 
+@pytest.mark.parametrize("count", [2, 30])
+def test_a_flight_shorter_than_a_batch_is_enough(tmp_path, count):
+    transitions, _ = flown(noise=0.1)
+    few = Transitions(**{name: column[:count] for name, column in vars(transitions).items()})
+    config = CONFIG.model_copy(update={"clone_updates": 20, "offline_updates": 20})
+    assert config.batch_size > count
+    result = train_offline(SCENARIO, config, few, tmp_path)
+    raw = TrainedPolicy(result.policy_file, SCENARIO)(torch.as_tensor(few.observation), 0)
+    assert torch.isfinite(raw).all()
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
         (lambda t: {"observation": t.observation[:, :-1]}, r"observation is \(800, \d+\), the scenario's sizes want"),
         (lambda t: {"action": t.action[:-1]}, r"action is \(799, \d+\)"),
         (lambda t: {"reward": np.full_like(t.reward, np.nan)}, "reward holds numbers that are not finite"),
-        (lambda t: {name: column[:10] for name, column in vars(t).items()}, "10 transitions are fewer than one batch"),
+        (lambda t: {name: column[:1] for name, column in vars(t).items()}, "1 transitions are too few; at least 2"),
     ],
 )
 def test_unusable_transitions_are_refused_by_name(tmp_path, change, text):

@@ -87,7 +87,8 @@ def test_a_file_cut_anywhere_gives_what_was_whole(run, tmp_path_factory):
     entries = flight_log.read(run).entries
     folder = tmp_path_factory.mktemp("cut")
     seen = 0
-    for size in range(100, len(whole), max(1, len(whole) // 200)):
+    footer = len(whole) - 8  # the magic bytes after it carry nothing
+    for size in range(100, footer, max(1, len(whole) // 200)):
         (folder / "flight.mcap").write_bytes(whole[:size])
         log = flight_log.read(folder)
         assert not log.complete
@@ -96,6 +97,28 @@ def test_a_file_cut_anywhere_gives_what_was_whole(run, tmp_path_factory):
         assert log.lost_bytes < size
         seen = len(log.entries)
     assert seen == len(entries)
+
+
+CHUNK = 6
+"""MCAP's opcode."""
+
+
+def test_a_writer_killed_before_it_filled_in_a_chunks_lengths_loses_that_chunk_only(run, tmp_path):
+    """The writer puts 2^64 - 1 where record and data lengths go, and comes back when the chunk is whole."""
+    whole = (run / "flight.mcap").read_bytes()
+    entries = flight_log.read(run).entries
+    at, chunks = 8, []  # after the magic bytes, records: opcode, length, content
+    while at < len(whole) - 8:
+        chunks += [at] if whole[at] == CHUNK else []
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    unknown = b"\xff" * 8
+    header = bytes([CHUNK]) + unknown + bytes(8 + 8 + 8 + 4) + bytes(4) + unknown
+    cut = chunks[-2]
+    (tmp_path / "flight.mcap").write_bytes(whole[:cut] + header + b'{"half')
+    log = flight_log.read(tmp_path)
+    assert not log.complete
+    assert 0 < len(log.entries) < len(entries)
+    assert log.entries == entries[: len(log.entries)]
 
 
 @pytest.mark.parametrize("content", [None, b"not an mcap file at all"])
@@ -154,6 +177,7 @@ def test_a_full_disk_is_told_and_stops_nothing(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "File too large" in done.stdout
+    assert done.stderr == "", "foxglove-sdk has nothing to say about it"
     assert flight_log.read(tmp_path).entries
 
 

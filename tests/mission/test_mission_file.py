@@ -67,6 +67,12 @@ def test_the_resolved_mission_reads_back_as_the_same_one(mission, fields, more):
     check(loaded)
 
 
+def test_whole_numbers_and_exponents_are_numbers(mission):
+    loaded = load(mission("clock: paced\nspeed: 5\nvehicle: {sitl: {parameters: {SIH_KDV: 1e-1, SIH_MASS: 2}}}"))
+    assert loaded.speed == 5.0
+    assert loaded.vehicle.sitl.parameters == {"SIH_KDV": 0.1, "SIH_MASS": 2.0}
+
+
 def test_slots_of_mission_and_scenario_agree(mission):
     assert load(mission("slots: 5")).scenario.slots == 5
     assert load(mission("scenario: {preset: physical_small, slots: 7}")).slots == 7
@@ -85,9 +91,14 @@ def test_slots_of_mission_and_scenario_agree(mission):
         ("speed: 1000\nclock: paced", ["speed: 1000", "100"]),
         ("clock: fast", ["clock: 'fast'", "'lockstep'", "'paced'"]),
         ("scenario: 3", ["scenario: 3", "preset"]),
-        ("scenario: {preset: [1]}", ["scenario", "preset"]),
-        ("scenario: {preset: physical_small, rowz: 3}", ["scenario: rowz"]),
-        ("scenario: {preset: physical_small, slot_s: 0.15}\npolicy: {kind: hover}", ["slot_s: 0.15", "0.2"]),
+        ("scenario: {preset: [1]}", ["scenario.preset: [1] is not one of", "physical_small"]),
+        ("scenario: physical_big", ["scenario: 'physical_big' is not one of", "physical_small"]),
+        ("scenario: {preset: physical_small, rowz: 3}", ["scenario.rowz: unknown key, did you mean rows?"]),
+        ("scenario: {preset: physical_small, name: foo}", ["scenario.name: unknown key, "]),
+        ("scenario: {xyzzy: 3}", ["scenario.xyzzy: unknown key, allowed are preset, slots, slot_s"]),
+        ("scenario: {preset: physical_small, rows: 0}", ["scenario.rows: 0", "greater than or equal to 1"]),
+        ("slots: {a: 1}", ["slots: {'a': 1} is not allowed", "integer"]),
+        ("scenario: {preset: physical_small, slot_s: 0.15}\npolicy: {kind: hover}", ["scenario.slot_s: 0.15", "0.2"]),
         ("scenario: {preset: physical_small, start_enu: [0, 0, 500]}", ["start_enu: z = 500", "30 to 120"]),
         ("policy: {kind: hover, checkpoint: physical_small}", ["policy.checkpoint", "hover"]),
         ("policy: {kind: genius}", ["policy.kind: 'genius'", "'random'"]),
@@ -102,6 +113,17 @@ def test_slots_of_mission_and_scenario_agree(mission):
         ("clock: lockstep\nvehicle: {autopilot: 'udpin://127.0.0.1:1'}", ["clock: 'lockstep'", "'paced'"]),
         ("speed: 2", ["speed: 2", "'paced'"]),
         ("restart: twice", ["restart: 'twice'", "'once'", "'never'"]),
+        ('slots: "10"', ["slots: '10'", "integer"]),
+        ("slots: 10.0", ["slots: 10.0", "integer"]),
+        ("slots: true", ["slots: True", "integer"]),
+        ("seed: true", ["seed: True", "integer"]),
+        ("vehicle: {system_id: 1.0}", ["vehicle.system_id: 1.0", "integer"]),
+        ('record: {tlog: "no"}', ["record.tlog: 'no'", "boolean"]),
+        ('limits: {up_mps: "2"}', ["limits.up_mps: '2'", "number"]),
+        ("speed: true\nclock: paced", ["speed: True", "number"]),
+        ('vehicle: {parameters: {MPC_XY_VEL_MAX: "8"}}', ["vehicle.parameters.MPC_XY_VEL_MAX: '8'", "number"]),
+        ("seed: 1\nslots: 3\nseed: 2", ["seed: given twice, in lines 1 and 3"]),
+        ("vehicle:\n  name: a\n  name: b", ["name: given twice, in lines 2 and 3"]),
         ("record: {mcap: maybe}", ["record.mcap: 'maybe'", "boolean"]),
         ("seed: -1\nslots: -1\nname: a b", ["(and 2 more)"]),
     ],

@@ -1,6 +1,8 @@
 """The report of a flight whose numbers are known."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 from rich.console import Console
@@ -59,6 +61,22 @@ def test_a_flight_that_never_reached_a_slot_has_a_report_and_no_picture(tmp_path
     written = report.write(tmp_path)
     assert (written.slots, written.users, written.exit_code, written.hfi) == (0, [], None, 0.0)
     assert not (tmp_path / "report.png").exists()
+
+
+def test_a_disk_that_is_full_leaves_the_last_report_whole(run):
+    report.write(run)
+    before = {name: (run / name).read_bytes() for name in ("report.json", "report.png")}
+    code = (
+        "import pathlib, resource, sys\n"
+        "from mission import report\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)\n"
+        "try:\n    report.write(pathlib.Path(sys.argv[1]))\n"
+        "except OSError as error:\n    print(error.strerror)"
+    )
+    for most in (100, 20_000):  # not even the numbers, and not the picture
+        done = subprocess.run([sys.executable, "-c", code, run, str(most)], capture_output=True, text=True, check=True)
+        assert done.stdout == "File too large\n"
+        assert {path.name: path.read_bytes() for path in run.glob("report*")} == before
 
 
 def test_a_recording_cut_short_still_gives_a_report_that_says_so(run):

@@ -4,15 +4,14 @@ import time
 from collections.abc import Callable
 
 import pytest
+from mavsdk import mavsdk
+from mavsdk.component_type import ComponentType
+from mavsdk.plugins.action import Action, ActionError
+from mavsdk.plugins.offboard import Offboard, OffboardError, VelocityNedYaw
+from mavsdk.plugins.param import Param
+from mavsdk.plugins.telemetry import FlightMode, LandedState, Telemetry
 
 from tests.sitl.process import sitl_process
-
-mavsdk = pytest.importorskip("mavsdk.mavsdk")
-from mavsdk.component_type import ComponentType  # noqa: E402  # only once mavsdk is known to be there
-from mavsdk.plugins.action import Action, ActionError  # noqa: E402
-from mavsdk.plugins.offboard import Offboard, OffboardError, VelocityNedYaw  # noqa: E402
-from mavsdk.plugins.param import Param  # noqa: E402
-from mavsdk.plugins.telemetry import FlightMode, LandedState, Telemetry  # noqa: E402
 
 SPEED = 4.0
 

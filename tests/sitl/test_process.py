@@ -164,6 +164,7 @@ def test_bad_options_are_refused(arguments, words):
     app.command()(sitl_command)
     done = CliRunner().invoke(app, [*arguments, "--gcs-bind", "0", "--companion-bind", "0"])
     assert done.exit_code == 2
+    assert done.stderr.startswith(("error: ", "Usage: "))
     assert all(word in done.stderr for word in words), done.stderr
 
 
@@ -177,6 +178,7 @@ def test_port_in_use_is_one_clear_line():
     assert port in done.stderr
     assert "companion" in done.stderr
     assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: ")
 
 
 def test_help_needs_no_heavy_imports():

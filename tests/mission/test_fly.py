@@ -1,0 +1,66 @@
+"""The start of a flight with a bridge that cannot take it yet: a stand-in process on the real bus."""
+
+import sys
+
+import pytest
+from rich.console import Console
+
+from mission import flight_log
+from mission.fly import fly
+from mission.mission_file import load
+
+BRIDGE = """
+import sys, threading
+from collections import Counter
+from bus import topics
+from bus.messages import CommandReply, MissionEvent
+from bus.session import open_session
+
+reasons = sys.argv[2].split(",")
+started = threading.Event()
+
+def answer(command):
+    reason = reasons.pop(0)
+    if not reason:
+        started.set()
+    return CommandReply(accepted=not reason, reason=reason)
+
+with open_session(connect=[sys.argv[1]]) as session:
+    event = topics.Publisher(session, "star1", topics.EVENT)
+    kept = [topics.answer_commands(session, "star1", answer, Counter())]
+    kept += [topics.declare_alive(session, "star1", node) for node in ("rf", "agent", "bridge")]
+    started.wait(60)
+    event.send(MissionEvent(time_s=0.0, source="bridge", kind="ended", text="exit 0", exit_code=0))
+"""
+
+
+@pytest.fixture
+def refusing(tmp_path, monkeypatch):
+    """A mission, and how to make its bridge refuse `start` for the given reasons first."""
+    path = tmp_path / "m.yaml"
+    path.write_text("clock: paced\nvehicle: {autopilot: 'udpin://127.0.0.1:14540'}\npolicy: {kind: hover}")
+
+    def make(*reasons):
+        def stand_in(_module, node, *options):
+            if node != "bridge":
+                return [sys.executable, "-c", "import time; time.sleep(600)"]
+            endpoint = options[options.index("--connect") + 1]
+            return [sys.executable, "-c", BRIDGE, endpoint, ",".join([*reasons, ""])]
+
+        monkeypatch.setattr("mission.fly.python", stand_in)
+        monkeypatch.setattr("mission.fly.GATHER_S", 0.0)  # the others never end by themselves
+        return load(path, output=tmp_path / "runs")
+
+    return make
+
+
+def test_a_start_that_is_refused_is_asked_for_again(refusing, tmp_path):
+    console = Console(record=True, width=120)
+    assert fly(refusing("not yet", "not yet", "nearly"), console) == 0
+    text = console.export_text()
+    assert text.count("start was refused: not yet") == 1, "told once"
+    assert text.count("start was refused: nearly") == 1
+    (run,) = (tmp_path / "runs").iterdir()
+    replies = [entry for entry in flight_log.read(run).entries if entry.topic == "command/reply"]
+    assert b'"accepted":true' in replies[-1].payload
+    assert [b'"accepted":true' in reply.payload for reply in replies] == [False, False, False, True]
