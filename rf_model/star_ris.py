@@ -15,22 +15,13 @@ class TrcError(ValueError):
 
 
 @dataclass(frozen=True)
-class Trc:
-    """Coupled coefficients of N elements, feasible for any angles: each field is [..., N]."""
+class _EnergySplitting:
+    """What every splitting element has, whatever couples its phases: each field is [..., N]."""
 
     theta_reflection: Tensor
     """[rad]"""
     split_angle: Tensor
     """x [rad] in [0, pi/2]: beta_R = sin x, beta_T = cos x, so that no element gives energy away."""
-    sign: Tensor
-    """-1 or +1: theta_T = theta_R + sign pi/2."""
-
-    @property
-    def theta_transmission(self) -> Tensor:
-        """theta_T [rad] in [-pi, pi) (eq. 1, 32)."""
-        turned = self.theta_reflection + self.sign * (math.pi / 2) + math.pi
-        wrapped = torch.remainder(turned, 2 * math.pi) - math.pi
-        return torch.where(wrapped >= math.pi, wrapped - 2 * math.pi, wrapped)
 
     @property
     def beta_reflection(self) -> Tensor:
@@ -41,6 +32,21 @@ class Trc:
     def beta_transmission(self) -> Tensor:
         """Amplitude on the transmission side, cos x."""
         return torch.cos(self.split_angle)
+
+
+@dataclass(frozen=True)
+class Trc(_EnergySplitting):
+    """Coupled coefficients of N elements, feasible for any angles: each field is [..., N]."""
+
+    sign: Tensor
+    """-1 or +1: theta_T = theta_R + sign pi/2."""
+
+    @property
+    def theta_transmission(self) -> Tensor:
+        """theta_T [rad] in [-pi, pi) (eq. 1, 32)."""
+        turned = self.theta_reflection + self.sign * (math.pi / 2) + math.pi
+        wrapped = torch.remainder(turned, 2 * math.pi) - math.pi
+        return torch.where(wrapped >= math.pi, wrapped - 2 * math.pi, wrapped)
 
     def coefficients(self) -> tuple[Tensor, Tensor]:
         """Diagonals of Phi_R and Phi_T (eq. 2), complex [..., N]."""
@@ -53,13 +59,9 @@ class Trc:
 
 
 @dataclass(frozen=True)
-class IndependentTrc:
+class IndependentTrc(_EnergySplitting):
     """Coefficients of N elements whose phases are free on each side: each field is [..., N]."""
 
-    theta_reflection: Tensor
-    """[rad]"""
-    split_angle: Tensor
-    """x [rad] in [0, pi/2]: beta_R = sin x, beta_T = cos x."""
     theta_transmission: Tensor
     """[rad]"""
 
@@ -67,16 +69,6 @@ class IndependentTrc:
     def sign(self) -> Tensor:
         """+1 everywhere: it means nothing here, and messages have a place for it."""
         return torch.ones_like(self.theta_reflection)
-
-    @property
-    def beta_reflection(self) -> Tensor:
-        """Amplitude on the reflection side, sin x."""
-        return torch.sin(self.split_angle)
-
-    @property
-    def beta_transmission(self) -> Tensor:
-        """Amplitude on the transmission side, cos x."""
-        return torch.cos(self.split_angle)
 
     def coefficients(self) -> tuple[Tensor, Tensor]:
         """Diagonals of Phi_R and Phi_T (eq. 2), complex [..., N]."""
