@@ -83,17 +83,25 @@ def fly(
 
 app.command(name="sitl")(sitl)
 
+rf = typer.Typer(invoke_without_command=True)
+app.add_typer(rf, name="rf")
 
-@app.command()
-def rf(
-    mission: MissionOption,
+
+@rf.callback()
+def rf_node(
+    context: typer.Context,
+    mission: Annotated[Path | None, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")] = None,
     vehicle: VehicleOption = None,
     connect: ConnectOption = None,
     listen: ListenOption = LOOPBACK,
     zenoh_config: ConfigOption = None,
     until_ended: UntilEndedOption = False,
 ) -> None:
-    """Run the radio node alone: users, channels, rates."""
+    """Run the radio node alone: users, channels, rates. It needs --mission."""
+    if context.invoked_subcommand is not None:
+        return
+    if mission is None:
+        raise typer.BadParameter("none given, and the node needs one", param_hint="--mission")
     with _one_line_errors():
         from mission.mission_file import action_deadline_s
 
