@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 ERROR, BAD_INPUT = 1, 2
 ENDPOINT = re.compile(r"[a-z][a-z0-9_-]*/\S+")
 """Of zenoh; the bus says what else is wrong with it."""
+VEHICLE = re.compile(r"[A-Za-z0-9_-]{1,32}")
 
 app = typer.Typer(
     name="aerialstar",
@@ -34,6 +35,15 @@ def _endpoints(given: str | list[str] | None) -> str | list[str] | None:
     for endpoint in [given] if isinstance(given, str) else given or ():
         if not ENDPOINT.fullmatch(endpoint):
             raise typer.BadParameter(f"{endpoint!r} must be PROTOCOL/ADDRESS, e.g. tcp/127.0.0.1:7447")
+    return given
+
+
+def _names(given: list[str] | None) -> list[str] | None:
+    for name in given or ():
+        if not VEHICLE.fullmatch(name):
+            raise typer.BadParameter(f"{name!r} must be 1 to 32 letters, digits, '_' or '-'")
+        if (given or []).count(name) > 1:
+            raise typer.BadParameter(f"{name!r} is given twice")
     return given
 
 
@@ -91,7 +101,14 @@ app.add_typer(rf, name="rf")
 def rf_node(
     context: typer.Context,
     mission: Annotated[Path | None, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")] = None,
-    vehicle: VehicleOption = None,
+    vehicle: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            callback=_names,
+            help="Vehicle on the bus; else the mission's. Repeatable: a world for each.",
+        ),
+    ] = None,
     connect: ConnectOption = None,
     listen: ListenOption = LOOPBACK,
     zenoh_config: ConfigOption = None,
@@ -105,16 +122,20 @@ def rf_node(
     with _one_line_errors():
         from mission.mission_file import action_deadline_s
 
-        with _on_the_bus(mission, vehicle, zenoh_config, connect, listen) as (loaded, session):
-            from rf_model.node import run
+        with _on_the_bus(mission, vehicle[0] if vehicle else None, zenoh_config, connect, listen) as (loaded, session):
+            from rf_model.node import run, vehicle_seeds
 
+            seeds = vehicle_seeds(loaded.seed, vehicle or [loaded.vehicle.name])
+            if len(seeds) > 1:
+                for name, seed in seeds.items():
+                    typer.echo(f"rf: {name} has seed {seed}")
             code = run(
                 loaded.scenario,
-                loaded.seed,
-                loaded.vehicle.name,
+                seeds,
                 session,
                 action_deadline_s=action_deadline_s(loaded),
                 until_ended=until_ended,
+                ris=loaded.ris,
             )
         raise typer.Exit(code)
 

@@ -17,6 +17,7 @@ from bus.messages import (
     Action,
     ChannelState,
     Complex,
+    ConfigurationSource,
     FlownSlot,
     LinkReport,
     Message,
@@ -32,13 +33,15 @@ from rf_model.csi import Observed
 from rf_model.geometry import panel_frame
 from rf_model.link import BeamformingError, check_beamforming, identity_beamforming
 from rf_model.mobility import Users, initial_users, move_users
+from rf_model.reference.solve import ReferenceInputError
 from rf_model.reward import reward
+from rf_model.ris_control import RisControl, reference_solution
 from rf_model.scenario import Scenario
 from rf_model.star_ris import Coefficients, TrcError
 from rf_model.surfaces import read_coefficients, surface_of
 from rf_model.world import slot_power, slot_rates, track_power
 
-Source = Literal["action", "held", "default"]
+AGENT = RisControl()
 _USERS, _CHANNELS, _ESTIMATES = 0, 1, 2
 
 
@@ -64,15 +67,20 @@ class SlotRadio:
 
     `open` takes each `SlotOpened` and `apply` each `Action`; both return the messages to publish, in order. In every
     slot exactly one `RisConfiguration` and one `LinkReport` come out, whatever goes in. `counters` says what happened:
-    slots, flights, repeated_slots and lost_slots; applied, held and default (together one a slot); rejected, stray,
-    doubtful (seemed late) and late (was, by the bridge's word).
+    slots, flights, repeated_slots and lost_slots; applied, held, default, closed_form and optimised (together one a
+    slot); rejected, stray, doubtful (seemed late) and late (was, by the bridge's word); unsolved.
+
+    When `ris` has the surface set without the agent, that happens as the slot opens, and every action is stray. Raises
+    RisControlError when the scenario does not allow it.
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
+    def __init__(self, scenario: Scenario, seed: int, ris: RisControl = AGENT) -> None:
+        ris.require_fit(scenario)
         self.counters: Counter[str] = Counter()
         self.rejections: list[str] = []
-        """Why actions were rejected, one line each, oldest first; whoever reports them clears the list."""
+        """Why what should have been set was not, one line each, oldest first; whoever reports them clears the list."""
         self._scenario = scenario
+        self._ris = ris
         self._seed = seed
         self._neutral = _Decision(
             surface_of(scenario).neutral(torch.float64), identity_beamforming(scenario, torch.complex128)
@@ -80,11 +88,16 @@ class SlotRadio:
         self._decision = self._neutral
         self._ever_applied = False
         self._slot: _OpenSlot | None = None
-        self._settled: Source | None = None
+        self._settled: ConfigurationSource | None = None
         self._doubtful: Action | None = None
         self._walked: tuple[int, Users] | None = None
         self._observed = Observed(scenario)
         self._time_s = 0.0
+
+    @property
+    def needs_actions(self) -> bool:
+        """Whether the surface is set by actions."""
+        return not self._ris.by_itself
 
     @property
     def slot(self) -> SlotOpened | None:
@@ -108,8 +121,12 @@ class SlotRadio:
             and _came_in_time(self._slot.opened.slot, opened)
         )
 
+    @torch.inference_mode()
     def open(self, opened: SlotOpened) -> list[Message]:
-        """Close the open slot (its configuration, if still due, and its report), then open this one (its channels)."""
+        """Close the open slot (its configuration, if still due, and its report), then open this one.
+
+        Of the new slot come its configuration, when that needs no action, and its channels.
+        """
         messages: list[Message] = []
         self._time_s = opened.time_s
         if self._slot is not None:
@@ -133,9 +150,12 @@ class SlotRadio:
         self._settled = None
         self._doubtful = None
         self.counters["slots"] += 1
-        messages.append(_channel_state(self._slot))
+        if self._ris.mode != "agent":
+            messages.append(self._set_by_itself(slot, self._ris.mode))
+        messages.append(_channel_state(slot))
         return messages
 
+    @torch.inference_mode()
     def apply(self, action: Action, late: bool = False) -> list[Message]:
         """Check the open slot's action and set it, or keep what is set when it is bad.
 
@@ -173,11 +193,26 @@ class SlotRadio:
         self._ever_applied = True
         return self._settle(slot, "action", "applied")
 
+    def _set_by_itself(self, slot: _OpenSlot, mode: Literal["closed_form", "optimised"]) -> RisConfiguration:
+        """From what is known of the slot's channels; checked as an action is."""
+        try:
+            solution = reference_solution(self._scenario, self._ris, slot.observed)
+            decision = _Decision(solution.trc, solution.beamforming)
+            surface_of(self._scenario).check(decision.trc)
+            check_beamforming(decision.beamforming, self._scenario)
+        except (ReferenceInputError, TrcError, BeamformingError) as error:
+            self.counters["unsolved"] += 1
+            self.rejections.append(f"{mode} of slot {slot.opened.slot}: {error}")
+            return self._keep(slot)
+        self._decision = decision
+        self._ever_applied = True
+        return self._settle(slot, mode, mode)
+
     def _keep(self, slot: _OpenSlot) -> RisConfiguration:
-        kept: Source = "held" if self._ever_applied else "default"
+        kept: ConfigurationSource = "held" if self._ever_applied else "default"
         return self._settle(slot, kept, kept)
 
-    def _settle(self, slot: _OpenSlot, source: Source, counter: str) -> RisConfiguration:
+    def _settle(self, slot: _OpenSlot, source: ConfigurationSource, counter: str) -> RisConfiguration:
         self._settled = source
         self.counters[counter] += 1
         return _configuration(slot.opened, source, self._decision)
@@ -273,6 +308,27 @@ class SlotRadio:
         self._observed.forget()
 
 
+def rehearse(scenario: Scenario, ris: RisControl) -> None:
+    """Open two slots of a throwaway world, so that what is compiled or loaded at first use is there before a flight.
+
+    The first time on a machine the reference compiles for 15 to 30 s.
+    """
+    radio = SlotRadio(scenario, 0, ris)
+    for slot in range(2):
+        radio.open(
+            SlotOpened(
+                slot=slot,
+                slots=2,
+                time_s=slot * scenario.slot_s,
+                position_enu=scenario.start_enu,
+                velocity_enu=(0.0, 0.0, 0.0),
+                attitude_rad=(0.0, 0.0, scenario.panel_heading_rad),
+                closing=False,
+                flown=None,
+            )
+        )
+
+
 def _came_in_time(slot: int, next_opened: SlotOpened) -> bool:
     flown = next_opened.flown
     return flown is not None and flown.slot == slot and flown.outcome not in ("missing", "late")
@@ -296,7 +352,7 @@ def _channel_state(slot: _OpenSlot) -> ChannelState:
     )
 
 
-def _configuration(opened: SlotOpened, source: Source, decision: _Decision) -> RisConfiguration:
+def _configuration(opened: SlotOpened, source: ConfigurationSource, decision: _Decision) -> RisConfiguration:
     trc = decision.trc
     signs: list[Sign] = [1 if sign > 0 else -1 for sign in trc.sign.tolist()]
     return RisConfiguration(

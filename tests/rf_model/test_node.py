@@ -92,7 +92,7 @@ def rf_node(bench, seed=1, until_ended=True):
     codes = []
     thread = threading.Thread(
         target=lambda: codes.append(
-            run(SCENARIO, seed, bench.vehicle, bench.theirs, action_deadline_s=0.25, until_ended=until_ended)
+            run(SCENARIO, {bench.vehicle: seed}, bench.theirs, action_deadline_s=0.25, until_ended=until_ended)
         )
     )
     thread.start()
@@ -300,4 +300,4 @@ def test_ends_when_the_bridge_is_gone(bench):
 
 def test_bad_vehicle_name_is_refused(bench):
     with pytest.raises(ValueError, match="vehicle: 'a/b'"):
-        run(SCENARIO, 1, "a/b", bench.theirs, action_deadline_s=0.25, until_ended=True)
+        run(SCENARIO, {"a/b": 1}, bench.theirs, action_deadline_s=0.25, until_ended=True)
