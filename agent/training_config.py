@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -12,9 +12,12 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class TrainingConfig(BaseModel):
-    """DA-DDPG's learning switches and hyper-parameters. Where the paper gives a value it is the default."""
+    """DA-DDPG's learning switches and hyper-parameters. Where the paper gives a value it is the default.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    No value is converted, except whole numbers to floats.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     environments: Annotated[int, Field(ge=2)] = 32
@@ -30,7 +33,7 @@ class TrainingConfig(BaseModel):
     warmup: Annotated[int, Field(ge=0)] = 3200
     """Transitions of random actions before the first update."""
 
-    hidden: tuple[Count, ...] = Field(default=(256, 256), min_length=1)
+    hidden: Annotated[tuple[Count, ...], Field(min_length=1), Strict(False)] = (256, 256)
     """Widths of the dense layers of the actors and of the critic's state branch: the paper has 256 to 512 by N."""
     actor_lr: Positive = 1e-4
     critic_lr: Positive = 1e-3

@@ -11,9 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from agent.checkpoint import CheckpointError, read_metadata, require_fit
 from agent.policy import PolicyConfig
 from autopilot_bridge.config import Box, BridgeConfig, Limits, LockstepClock, PacedClock, udpin_address
-from rf_model.ris_control import RisControl
 from mission.yaml_file import YamlError, read_mapping
 from rf_model.config_errors import one_line
+from rf_model.ris_control import RisControl
 from rf_model.scenario import Scenario, ScenarioError, make_scenario
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
