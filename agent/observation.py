@@ -1,6 +1,7 @@
 """The state of paper eq. 22: one function for environment, flight and data sets."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -30,6 +31,19 @@ class Normalisation:
     sizes: tuple[int, int, int]
     """N, M, J"""
 
+    @cached_property
+    def scale(self) -> Tensor:
+        """What each number of a state [S] is multiplied by, the position being normalised already."""
+        elements, antennas, users = self.sizes
+        parts = (
+            (1.0, 3),
+            (1.0 / self.bs_ris, 2 * elements * antennas),
+            (1.0 / self.direct, 2 * users * antennas),
+            (1.0 / self.ris_user, 2 * users * elements),
+        )
+        with torch.inference_mode(False):  # what is kept may be needed for gradients later
+            return torch.cat([self.centre.new_full((size,), factor, dtype=torch.float32) for factor, size in parts])
+
     @classmethod
     def of(cls, scenario: Scenario, device: torch.device | None = None) -> "Normalisation":
         """Those of a scenario, for positions on a device."""
@@ -53,13 +67,9 @@ def observe(position_enu: Tensor, channels: Channels, normalisation: Normalisati
     In this order: position; H [N, M]; h_b [J, M]; h_s [J, N]; each complex number as (re, im), users in their order in
     the scenario (those that start in the reflection region come first, as in eq. 22).
     """
-    parts = [
-        (position_enu - normalisation.centre) / normalisation.half_size,
-        _flat(channels.bs_ris) / normalisation.bs_ris,
-        _flat(channels.direct) / normalisation.direct,
-        _flat(channels.ris_user) / normalisation.ris_user,
-    ]
-    return torch.cat([part.to(torch.float32) for part in parts], dim=-1)
+    position = (position_enu - normalisation.centre) / normalisation.half_size
+    state = torch.cat((position, _flat(channels.bs_ris), _flat(channels.direct), _flat(channels.ris_user)), dim=-1)
+    return state.mul_(normalisation.scale).to(torch.float32)  # in place: a new tensor of this size costs more
 
 
 def observe_message(message: ChannelState, normalisation: Normalisation) -> Tensor:

@@ -9,6 +9,7 @@ from torch import Tensor
 from airframe.power import drag_force, total_power
 from rf_model.channels import Channels, link_gains
 from rf_model.fairness import fair_rate_bps, hfi, jfi
+from rf_model.geometry import constant
 from rf_model.link import effective_channel, rate_bps, sinr
 from rf_model.scenario import Scenario
 from rf_model.star_ris import Coefficients
@@ -63,7 +64,9 @@ def slot_power(scenario: Scenario, velocity_enu: Tensor, yaw_rad: Tensor) -> Ten
 
     It is that of the velocity through the air: over ground less the scenario's wind.
     """
-    x, y, z = (ground - wind for ground, wind in zip(velocity_enu.unbind(-1), scenario.wind_enu, strict=True))
+    if any(scenario.wind_enu):
+        velocity_enu = velocity_enu - constant(scenario.wind_enu, velocity_enu.dtype, velocity_enu.device)
+    x, y, z = velocity_enu.unbind(-1)
     return total_power(scenario.wing, scenario.panel, x, y, z, torch.cos(yaw_rad), torch.sin(yaw_rad))
 
 
