@@ -114,7 +114,7 @@ def rf_node(
     zenoh_config: ConfigOption = None,
     until_ended: UntilEndedOption = False,
 ) -> None:
-    """Run the radio node alone: users, channels, rates. It needs --mission."""
+    """Run the radio node alone (with --mission): users, channels, rates. Or evaluate one slot."""
     if context.invoked_subcommand is not None:
         return
     if mission is None:
@@ -138,6 +138,27 @@ def rf_node(
                 ris=loaded.ris,
             )
         raise typer.Exit(code)
+
+
+@rf.command()
+def evaluate(
+    snapshot: Annotated[Path, typer.Argument(metavar="SNAPSHOT", help="Snapshot file (YAML or JSON); - for stdin.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, SI units.")] = False,
+) -> None:
+    """Evaluate one slot: path losses, SINR, rates, power and reward of given positions, coefficients and beams.
+
+    Exit codes: 0 evaluated, 2 bad input.
+    """
+    with _one_line_errors():
+        from rich.console import Console
+
+        from mission.snapshot_file import evaluate_file, tables, to_json
+
+        evaluation = evaluate_file(snapshot)
+        if as_json:
+            typer.echo(to_json(evaluation))
+        else:
+            Console().print(*tables(evaluation), sep="\n")
 
 
 @app.command()

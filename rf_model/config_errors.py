@@ -9,6 +9,8 @@ from pydantic_core import ErrorDetails
 
 VALUE_MAX = 80
 """Longer values are not shown."""
+ALTERNATIVE = "|"
+"""What the tags of a union begin with: they are no part of a field's name."""
 
 
 def one_line(error: ValidationError, model: type[BaseModel]) -> str:
@@ -23,7 +25,7 @@ def lines(error: ValidationError, model: type[BaseModel]) -> list[str]:
 
 
 def _line(detail: ErrorDetails, model: type[BaseModel]) -> str:
-    field = ".".join(str(part) for part in detail["loc"])
+    field = ".".join(str(part) for part in detail["loc"] if not str(part).startswith(ALTERNATIVE))
     if detail["type"] == "extra_forbidden":
         return f"{field}: unknown key, {_nearest(str(detail['loc'][-1]), _keys_at(model, detail['loc'][:-1]))}"
     if detail["type"] == "missing":
