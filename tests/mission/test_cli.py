@@ -45,6 +45,8 @@ def test_the_installed_command_is_this_one():
         (["sitl", "--param", "NONSENSE"], "NONSENSE"),
         (["sitl", "--home", "nowhere"], "--home"),
         (["rf", "--mission", "{tmp}/none.yaml", "--connect", "nonsense"], "'nonsense' must be PROTOCOL/ADDRESS"),
+        (["rf", "--mission", "{tmp}/none.yaml", "--vehicle", "a", "--vehicle", "a"], "'a' is given twice"),
+        (["rf", "--mission", "{tmp}/none.yaml", "--vehicle", "a", "--vehicle", "b/c"], "'b/c' must be"),
         (["agent", "--mission", "{tmp}/none.yaml", "--listen", "nonsense"], "'nonsense' must be PROTOCOL/ADDRESS"),
         (["train", "{tmp}"], "--offline"),
         (["train", "--offline"], "--offline"),
