@@ -20,8 +20,9 @@ def one_line(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def lines(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """All that is wrong with a `model`, one line each."""
-    return [_line(detail, model) for detail in error.errors()]
+    """All that is wrong with a `model`, one line each; unknown keys first, since what is missing may be behind them."""
+    details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    return [_line(detail, model) for detail in details]
 
 
 def _line(detail: ErrorDetails, model: type[BaseModel]) -> str:

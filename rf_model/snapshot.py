@@ -266,7 +266,8 @@ def evaluate(snapshot: Snapshot) -> Evaluation:
         trc={name: getattr(trc, name).tolist() for name in AMPLITUDES},
         beamforming=_pairs(beams),
     )
-    if not all(map(math.isfinite, (*evaluation.sinr, *evaluation.rate_bps, evaluation.reward, evaluation.energy_j))):
+    totals = (evaluation.sum_rate_bps, evaluation.fair_rate_bps, evaluation.energy_j, evaluation.reward)
+    if not all(map(math.isfinite, (*evaluation.sinr, *totals))):
         raise SnapshotError("scenario: its numbers are too extreme, the results are not finite")
     return evaluation
 
