@@ -234,9 +234,9 @@ def coefficient_gradient(slot: Slot, surface_beam: Complex, received: Complex) -
 
 @_compiled
 def coefficient_step(
-    slot: Slot, received: Complex, reached: float, step: float, coefficients: Complex, beams: Complex
+    slot: Slot, reached: float, step: float, coefficients: Complex, beams: Complex, channel: Complex, received: Complex
 ) -> tuple[float, float]:
-    """Line search along the projected gradient, with beams that stay or follow; writes the last two arguments.
+    """Line search along the projected gradient, with beams that stay or follow; writes the last four arguments.
 
     Following beams force zeros anew at the coefficients tried, each with its power. At high SNR beams that stay would
     let interference in at any but tiny steps. Returns the objective, which never falls, and the next step.
@@ -254,13 +254,13 @@ def coefficient_step(
     origin, held, power = coefficients.copy(), beams.copy(), row_powers(beams)
     for factor in STEP_FACTORS:
         trial = nearest_feasible(slot, origin, step * factor * unit, gradient)
-        channel = effective_channel(slot, trial)
-        for candidate in (held, zero_forcing(channel, power)):
-            value = utility(slot, products(channel, candidate))
+        trial_channel = effective_channel(slot, trial)
+        for candidate in (held, zero_forcing(trial_channel, power)):
+            at_users = products(trial_channel, candidate)
+            value = utility(slot, at_users)
             if value > reached:
                 reached, best = value, factor
-                coefficients[:] = trial
-                beams[:] = candidate
+                coefficients[:], beams[:], channel[:], received[:] = trial, candidate, trial_channel, at_users
     return reached, step * (best if best > 0.0 else 0.5)
 
 
@@ -268,7 +268,7 @@ def coefficient_step(
 def regularised_solve(normal: Complex, multiplier: float, target: Complex) -> tuple[Complex, float, float]:
     """Rows x_k = (normal + mu I)^-1 target_k, their power p, and -dp/dmu / 2; by Cholesky factors.
 
-    `normal` [M, M] is Hermitian and positive semidefinite, mu positive.
+    `normal` [M, M] is Hermitian and positive semidefinite, and only its lower triangle is read; mu is positive.
     """
     K, M = target.shape
     factor = np.empty((M, M), np.complex128)
@@ -343,7 +343,7 @@ def wmmse_beams(slot: Slot, channel: Complex, received: Complex) -> Complex:
         multiplier += loading  # what the multiplier is where the beams are stationary
         for m in range(M):
             target[j, m] = weight[j] * (receiver[j] * channel[j, m]).conjugate()
-            for i in range(M):
+            for i in range(m + 1):
                 normal[m, i] += loading * channel[j, m].conjugate() * channel[j, i]
     if not slot.per_user:
         return limited_beams(normal, target, multiplier)
@@ -389,7 +389,7 @@ def zero_forcing(channel: Complex, power: Real) -> Complex:
     normal = np.zeros((M, M), np.complex128)
     for j in range(J):
         for m in range(M):
-            for i in range(M):
+            for i in range(m + 1):
                 normal[m, i] += power[j] * channel[j, m].conjugate() * channel[j, i]
     beams, _, _ = regularised_solve(normal, 1.0, channel.conj())
     sizes = row_powers(beams)
@@ -467,9 +467,7 @@ def solve_slot(slot: Slot, iterations: int, start: int, coefficients: Complex, b
     history[0] = reached
     step = 1.0
     for iteration in range(iterations):
-        reached, step = coefficient_step(slot, received, reached, step, coefficients, beams)
-        channel = effective_channel(slot, coefficients)
-        received = products(channel, beams)
+        reached, step = coefficient_step(slot, reached, step, coefficients, beams, channel, received)
         reached = beam_step(slot, channel, received, reached, beams)
         history[iteration + 1] = reached
 
