@@ -6,8 +6,8 @@ Two processes on loopback, N = 256, J = 8, M = 4, ten slots a second of wall clo
 is `aerialstar rf`, with all its threads on one core (the last of those allowed). A time is from just before
 `SlotOpened(k)` is sent until `RisConfiguration(k)` and `LinkReport(k - 1)` have both arrived, undecoded. In the mode
 `agent` a prepared `Action(k)` goes back as soon as `ChannelState(k)` is here, and the time covers that way round too.
-Percentiles are over all slots but the first ten. `CPU` is processor time of all threads of the node, which says what
-the machine's other work has to do with the rest.
+Percentiles are over all slots but the first ten. `CPU/slot` is processor time of all threads of the node. On a machine
+with other work, who has the right to may run it by `chrt -f 10`: the other work then does not push in.
 """
 
 import argparse
@@ -87,16 +87,20 @@ class Bridge:
             )
 
         track = [at(slot - 1 + i / 10) for i in range(11)]
-        flown = FlownSlot(
-            slot=slot - 1,
-            outcome="flown",
-            reasons=[],
-            commanded_enu=zero,
-            planned_enu=zero,
-            flown_enu=zero,
-            track=track,
-            plan=track,
-        ) if slot else None
+        flown = (
+            FlownSlot(
+                slot=slot - 1,
+                outcome="flown",
+                reasons=[],
+                commanded_enu=zero,
+                planned_enu=zero,
+                flown_enu=zero,
+                track=track,
+                plan=track,
+            )
+            if slot
+            else None
+        )
         now = track[-1]
         return SlotOpened(
             slot=slot,
@@ -140,7 +144,7 @@ def measure(mode: str, slots: int) -> tuple[list[float], float]:
     with tempfile.TemporaryDirectory() as folder, open_session(listen=endpoint) as session:
         mission = Path(folder) / "mission.yaml"
         fields = {"scenario": {"preset": "physical_1km", "users": 8}, "ris": mode}
-        
+
         mission.write_text(yaml.safe_dump(fields))
         bridge = Bridge(session, scenario)
         command = [sys.executable, "-m", "mission", "rf", "--mission", str(mission), "--vehicle", VEHICLE]
