@@ -9,7 +9,8 @@ from pathlib import Path
 from rich.table import Table
 
 from mission.yaml_file import YamlError, read_mapping
-from rf_model.snapshot import Evaluation, Link, Snapshot, SnapshotError, evaluate, read_snapshot
+from rf_model.evaluation import Evaluation, Link, evaluate
+from rf_model.snapshot import Snapshot, SnapshotError, read_snapshot
 
 
 def evaluate_file(path: Path) -> Evaluation:

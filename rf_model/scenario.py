@@ -58,13 +58,13 @@ class ScenarioError(ValueError):
     """A scenario that cannot be; the text names the field, the value and what is allowed, in one line."""
 
 
-class _Frozen(BaseModel):
-    """No value is converted, except whole numbers to floats: `users: "6"` is a mistake."""
+class StrictModel(BaseModel):
+    """A frozen config in which no value is converted, except whole numbers to floats: `users: "6"` is a mistake."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class PathLoss(_Frozen):
+class PathLoss(StrictModel):
     """Path-loss model of each link, because no 3GPP model fits all; a set's name (`paper`, `3gpp`) stands for three."""
 
     bs_user: Literal["paper", "tr38901_umi", "tr38901_uma"] = "paper"
@@ -89,7 +89,7 @@ class PathLoss(_Frozen):
         return PATH_LOSS_SETS[value]
 
 
-class Scenario(_Frozen):
+class Scenario(StrictModel):
     """Geometry, radio, surface, users, vehicle and reward of one radio world.
 
     The defaults are the preset `physical_1km`; take another with `preset(name, **overrides)`, or in a file by its name

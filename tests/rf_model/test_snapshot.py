@@ -14,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.messages import Action, SlotOpened
+from rf_model.evaluation import evaluate
 from rf_model.reference.solve import closed_form
 from rf_model.scenario import preset
 from rf_model.slot_radio import SlotRadio
-from rf_model.snapshot import SnapshotError, evaluate, read_snapshot
+from rf_model.snapshot import SnapshotError, read_snapshot
 from tests.rf_model.test_slot_radio import action, opened
 
 EXAMPLE = yaml.safe_load((Path(__file__).parents[2] / "missions" / "snapshot.yaml").read_text())
