@@ -96,6 +96,31 @@ def decode(raw: Tensor, scenario: Scenario) -> PhysicalAction:
     )
 
 
+def encode(action: PhysicalAction, scenario: Scenario) -> Tensor:
+    """Raw actions [..., action_size(scenario)] of which `decode` makes these decisions, to rounding.
+
+    Of what it never makes there is no such raw action: W of less than full power comes back at full power, other
+    coefficients than the surface can have and moves beyond the limits as something near.
+    """
+    coefficients, signs = surface_of(scenario).encode(action.trc)
+    beams = torch.view_as_real(action.beamforming).flatten(-3)
+    largest = beams.abs().amax(dim=-1, keepdim=True).clamp_min(1e-12)
+    return torch.cat((_motion(action.displacement_enu, scenario), coefficients, beams / largest, signs), dim=-1)
+
+
+def _motion(displacement_enu: Tensor, scenario: Scenario) -> Tensor:
+    """`_displacement` undone for moves [..., 3] within the limits."""
+    reach = scenario.v_max_mps * scenario.slot_s
+    if scenario.motion == "cartesian":
+        return (displacement_enu / reach).clip(-1, 1)
+    east, north, up = displacement_enu.unbind(-1)
+    horizontal = torch.hypot(east, north)
+    elevation, azimuth = torch.atan2(up, horizontal), torch.atan2(north, east).remainder(2 * math.pi)
+    distance = torch.hypot(horizontal, up)
+    parts = (distance * (2 / reach) - 1, elevation / (math.pi / 2), azimuth / math.pi - 1)
+    return torch.stack(parts, dim=-1).clip(-1, 1)
+
+
 def _displacement(motion: Tensor, scenario: Scenario) -> Tensor:
     """[..., 3] in [-1, 1] to metres: (distance, elevation, azimuth) or a vector, then the limits.
 
