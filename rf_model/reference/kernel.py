@@ -314,7 +314,8 @@ def limited_beams(normal: Complex, target: Complex, guess: float) -> Complex:
 
     Newton's method on 1 / sqrt(power), which is concave in mu: left of the root it rises monotonically to it, and from
     the right its first step goes left. It ends where bisection would. Zero counts as 1e-10 of the
-    trace, with which a normal matrix of low rank can still be factored, to about 1e-6 of the result.
+    trace, with which a normal matrix of low rank can still be factored, to about 1e-6 of the result. A user who was
+    given up has no target, so no power and no curvature.
     """
     lowest = SMALLEST
     for m in range(normal.shape[0]):
@@ -322,7 +323,7 @@ def limited_beams(normal: Complex, target: Complex, guess: float) -> Complex:
     multiplier = max(guess, lowest)
     beams, power, curvature = regularised_solve(normal, multiplier, target)
     for _ in range(MULTIPLIER_STEPS):
-        if abs(power - 1.0) <= POWER_TOLERANCE or (multiplier == lowest and power <= 1.0):
+        if abs(power - 1.0) <= POWER_TOLERANCE or (multiplier == lowest and power <= 1.0) or not curvature > 0.0:
             break
         multiplier = max(multiplier + power / curvature * (np.sqrt(power) - 1.0), lowest)
         beams, power, curvature = regularised_solve(normal, multiplier, target)

@@ -214,6 +214,17 @@ def test_users_all_on_one_side_or_without_any_link():
     check_beamforming(solution.beamforming, SCENARIO)
 
 
+def test_users_whom_the_sum_rate_gives_up_leave_all_else_in_order():
+    """With 4 users on 2 antennas some get less power at every step, until it is 0 in floating point."""
+    scenario = preset("prototype_s4", p_max="per_user", users=4, antennas=2, rows=1, columns=10)
+    channels = random_channels(182, 2, 4, 2, 10, snr_db=17.7)
+    solution = solve(scenario, channels, 200, "sum_rate")
+    check_beamforming(solution.beamforming, scenario)
+    assert ((solution.beamforming.abs() ** 2).sum(-2) == 0).any()
+    reached = utility_of(scenario, channels, solution, "sum_rate")
+    torch.testing.assert_close(solution.utility_bps[:, -1], reached, rtol=1e-9, atol=0.0)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
