@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.exceptions import TyperException
 
+from mission.reproduce import FIGURES, ReproduceError
 from sitl.cli import sitl
 
 if TYPE_CHECKING:
@@ -45,6 +46,12 @@ def _names(given: list[str] | None) -> list[str] | None:
         if (given or []).count(name) > 1:
             raise typer.BadParameter(f"{name!r} is given twice")
     return given
+
+
+def _known_figure(name: str) -> str:
+    if name not in FIGURES:
+        raise typer.BadParameter(f"{name!r} is not one of {', '.join(FIGURES)}")
+    return name
 
 
 MissionOption = Annotated[Path, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")]
@@ -274,6 +281,28 @@ def replay(run: RunArgument) -> None:
         raise typer.Exit(0 if result.same else ERROR)
 
 
+@app.command()
+def reproduce(
+    figure: Annotated[
+        str, typer.Argument(metavar="FIGURE", callback=_known_figure, help="One of: " + ", ".join(FIGURES) + ".")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the PNG and the CSV files go.")] = Path(
+        "runs/reproduce"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
+    episodes: Annotated[
+        int | None, typer.Option(min=2, help="Worlds to average over, where anything is random; more take longer.")
+    ] = None,
+) -> None:
+    """Reproduce a figure of the paper that needs no learning: PNG, CSV, and what was found beside what it says."""
+    with _one_line_errors():
+        from rich.console import Console
+
+        from mission.reproduce.run import run
+
+        run(figure, out, seed, episodes, Console())
+
+
 @contextmanager
 def _on_the_bus(
     mission: Path, vehicle: str | None, config: Path | None, connect: list[str] | None, listen: str
@@ -314,7 +343,8 @@ def _exit_code(error: Exception) -> int | None:
     from mission.train import TrainInputError
     from rf_model.scenario import ScenarioError
 
-    if isinstance(error, MissionError | ScenarioError | CheckpointError | FlightLogError | TrainInputError):
+    bad = (MissionError, ScenarioError, CheckpointError, FlightLogError, TrainInputError, ReproduceError)
+    if isinstance(error, bad):
         return BAD_INPUT
     if isinstance(error, BusError | FlightError | ReplayError | OSError):
         return ERROR

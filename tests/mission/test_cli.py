@@ -6,7 +6,7 @@ import sys
 import pytest
 
 HEAVY = ("torch", "numba", "matplotlib", "zenoh", "numpy", "pymavlink", "gymnasium", "foxglove")
-COMMANDS = ("fly", "sitl", "rf", "agent", "bridge", "train", "report", "replay")
+COMMANDS = ("fly", "sitl", "rf", "agent", "bridge", "train", "report", "replay", "reproduce")
 
 
 @pytest.mark.parametrize(
