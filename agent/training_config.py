@@ -66,8 +66,9 @@ class TrainingConfig(BaseModel):
     """Offline: updates of behaviour cloning first."""
     offline_updates: Annotated[int, Field(ge=0)] = 4000
     """Offline: DA-DDPG updates after that."""
-    cloning: NonNegative = 1.0
-    """Offline: weight of the cloning loss in those, relative to |Q|."""
+    cloning: NonNegative = 10.0
+    """Offline: weight of the cloning loss in those, relative to |Q|; with 1 they stray farther from what was flown than
+    its mean action does."""
 
     evaluate_every: Count = 128
     """Episodes between evaluations; they cost little, and the policy swings from one to the next."""
