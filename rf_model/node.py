@@ -20,7 +20,7 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -175,7 +175,7 @@ class _Vehicle:
                 if self._radio.must_wait(item):
                     self._waiting = (item, time.monotonic() + ACTION_WAIT_S)
                 else:
-                    self._publish(self._radio.open(item))
+                    self._publish(self._radio.opening(item))
             case "ended":
                 self._open_waiting()
                 return True
@@ -194,9 +194,9 @@ class _Vehicle:
         if self._waiting is not None:
             opened, _ = self._waiting
             self._waiting = None
-            self._publish(self._radio.open(opened))
+            self._publish(self._radio.opening(opened))
 
-    def _publish(self, messages: list[Message]) -> None:
+    def _publish(self, messages: Iterable[Message]) -> None:
         """Send what the radio world says, and why it did not set what it should have."""
         for message in messages:
             match message:

@@ -5,7 +5,7 @@ same users and channels. All in double precision.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -65,10 +65,10 @@ class _OpenSlot:
 class SlotRadio:
     """One vehicle's radio world.
 
-    `open` takes each `SlotOpened` and `apply` each `Action`; both return the messages to publish, in order. In every
-    slot exactly one `RisConfiguration` and one `LinkReport` come out, whatever goes in. `counters` says what happened:
-    slots, flights, repeated_slots and lost_slots; applied, held, default, closed_form and optimised (together one a
-    slot); rejected, stray, doubtful (seemed late) and late (was, by the bridge's word); unsolved.
+    `open` (or `opening`) takes each `SlotOpened` and `apply` each `Action`; both return the messages to publish, in
+    order. In every slot exactly one `RisConfiguration` and one `LinkReport` come out, whatever goes in. `counters` says
+    what happened: slots, flights, repeated_slots and lost_slots; applied, held, default, closed_form and optimised
+    (together one a slot); rejected, stray, doubtful (seemed late) and late (was, by the bridge's word); unsolved.
 
     When `ris` has the surface set without the agent, that happens as the slot opens, and every action is stray. Raises
     RisControlError when the scenario does not allow it.
@@ -121,39 +121,41 @@ class SlotRadio:
             and _came_in_time(self._slot.opened.slot, opened)
         )
 
-    @torch.inference_mode()
     def open(self, opened: SlotOpened) -> list[Message]:
         """Close the open slot (its configuration, if still due, and its report), then open this one.
 
         Of the new slot come its configuration, when that needs no action, and its channels.
         """
-        messages: list[Message] = []
+        return list(self.opening(opened))
+
+    @torch.inference_mode()
+    def opening(self, opened: SlotOpened) -> Iterator[Message]:
+        """`open`, message by message as soon as each is known; to be taken to its end before anything else."""
         self._time_s = opened.time_s
         if self._slot is not None:
             before = self._slot.opened
             if opened.slot == before.slot and opened.time_s == before.time_s:
                 self.counters["repeated_slots"] += 1
-                return []
+                return
             if opened.slot <= before.slot:
                 self._forget_flight()
         slot = None if opened.closing and self._scenario.timing == "pre" else self._opened(opened)
         if self._slot is not None:
             self.counters["lost_slots"] += opened.slot - self._slot.opened.slot - 1
             if self._settled is None:
-                messages.append(self._settle_overdue(self._slot, opened))
-            messages.append(self._report(self._slot, opened, self._slot if self._scenario.timing == "pre" else slot))
+                yield self._settle_overdue(self._slot, opened)
+            yield self._report(self._slot, opened, self._slot if self._scenario.timing == "pre" else slot)
         if opened.closing:
             self._forget_flight()
-            return messages
+            return
         assert slot is not None
         self._slot = slot
         self._settled = None
         self._doubtful = None
         self.counters["slots"] += 1
         if self._ris.mode != "agent":
-            messages.append(self._set_by_itself(slot, self._ris.mode))
-        messages.append(_channel_state(slot))
-        return messages
+            yield self._set_by_itself(slot, self._ris.mode)
+        yield _channel_state(slot)
 
     @torch.inference_mode()
     def apply(self, action: Action, late: bool = False) -> list[Message]:

@@ -442,14 +442,14 @@ def test_a_vehicle_whose_flight_ends_leaves_the_others_flying(benches):
 def test_a_vehicle_that_fails_leaves_the_bus_and_the_others_flying(benches, monkeypatch, capsys):
     """No message was found that makes one fail: the fault is injected."""
     failing, sound = benches
-    opens = SlotRadio.open
+    opens = SlotRadio.opening
 
     def broken(radio, slot):
         if slot.slot == 7:
             raise ArithmeticError("injected")
         return opens(radio, slot)
 
-    monkeypatch.setattr(SlotRadio, "open", broken)
+    monkeypatch.setattr(SlotRadio, "opening", broken)
     with rf_node(*benches) as codes:
         failing.slot.send(opened(7, "missing"))
         failing.wait_alive(False)
