@@ -154,6 +154,9 @@ def evaluate(
 ) -> None:
     """Evaluate one slot: path losses, SINR, rates, power and reward of given positions, coefficients and beams.
 
+    A snapshot holds scenario, position_enu and users_enu, and may hold velocity_enu, attitude_rad, seed, channels,
+    ris, trc and beamforming: see missions/snapshot.yaml and docs/rf_model.md.
+
     Exit codes: 0 evaluated, 2 bad input.
     """
     with _one_line_errors():
