@@ -104,9 +104,7 @@ def violations(worlds: int, seed: int) -> list[Violations]:
     found = []
     for p_max_dbm in POWERS_DBM:
         scenario = preset(SCENARIO, p_max_dbm=p_max_dbm)
-        channels = snapshots(scenario, worlds, seed)
-        for objective in OBJECTIVES:
-            rates = optimised_rates(scenario, channels, objective)
+        for objective, rates in optimised_rates(scenario, snapshots(scenario, worlds, seed)).items():
             found.append(
                 Violations(
                     objective,
@@ -119,16 +117,18 @@ def violations(worlds: int, seed: int) -> list[Violations]:
     return found
 
 
-def optimised_rates(scenario: Scenario, channels: Channels, objective: str) -> Tensor:
-    """Rates [worlds, J] bit/s after gradient ascent (Adam) on an objective from the closed form.
+def optimised_rates(scenario: Scenario, channels: Channels) -> Mapping[str, Tensor]:
+    """Rates [worlds, J] bit/s after gradient ascent (Adam) on each objective from the closed form.
 
     Over beamforming, phases and energy split of a coupled surface; the +-pi/2 signs stay those of the closed form. The
     reference has no JFI objective, so all three are climbed in the same plain way.
     """
     start = closed_form(scenario, channels)
     trc = start.trc
-    theta, split = trc.theta_reflection.clone().requires_grad_(), trc.split_angle.clone().requires_grad_()
-    beams = torch.view_as_real(_unit(start.beamforming)).clone().requires_grad_()
+    theta, split, beams = (
+        tensor.expand(len(OBJECTIVES), *tensor.shape).clone().requires_grad_()
+        for tensor in (trc.theta_reflection, trc.split_angle, torch.view_as_real(_unit(start.beamforming)))
+    )
 
     def rates() -> Tensor:
         beamforming = _unit(torch.view_as_complex(beams)) * math.sqrt(scenario.p_max_w)
@@ -138,9 +138,10 @@ def optimised_rates(scenario: Scenario, channels: Channels, objective: str) -> T
     climber = torch.optim.Adam([theta, split, beams], lr=STEP_SIZE)
     for _ in range(STEPS):
         climber.zero_grad()
-        torch.autograd.backward(-OBJECTIVES[objective](rates() / _MBPS).sum())
+        climbed = zip(OBJECTIVES.values(), rates() / _MBPS, strict=True)
+        torch.autograd.backward(-torch.stack([objective(rate).sum() for objective, rate in climbed]).sum())
         climber.step()
-    return rates().detach()
+    return dict(zip(OBJECTIVES, rates().detach(), strict=True))
 
 
 def _unit(beamforming: Tensor) -> Tensor:

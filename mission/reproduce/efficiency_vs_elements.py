@@ -121,6 +121,7 @@ def _curves(axes: Axes, found: list[Size], bests: list[Best]) -> None:
                 color=SHADES[number],
                 fontsize=8,
                 fontweight="bold",
+                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
             )
     axes.set_xscale("log", base=2)
     ticks = (16, 64, 256, 1024)

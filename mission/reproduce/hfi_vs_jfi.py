@@ -10,7 +10,7 @@ from mission.reproduce.reproduction import Data, Reproduction, table
 from mission.style import INK, LINES
 from rf_model.fairness import hfi, jfi
 
-WORLDS = 48
+WORLDS = 32
 SHOWN_USERS = 8
 FAMILIES = {
     "one poor": ("#0072b2", "one user poor, 7 equal"),
