@@ -4,16 +4,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sitl import px4
-from sitl.commander import Commander
 from sitl.flight_model import FlightModel
 from sitl.frames import Message, Payload
 from sitl.link import Link
 from sitl.origin import Origin
 from sitl.parameters import Parameters
+from sitl.personality import Personality
 from sitl.services import clock, commands, missions, parameters, setpoints
-from sitl.telemetry import MESSAGES, Vehicle, statustexts
-from sitl.vehicle_setup import gains, rotorcraft
+from sitl.telemetry import statustexts
+from sitl.vehicle import Vehicle
 
 TICK_MS = 10
 """Vehicle time between two looks at the links and streams [ms]."""
@@ -40,18 +39,21 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
 class Autopilot:
     """One vehicle on its links. Deterministic: its clock moves only in `advance`."""
 
-    def __init__(self, p: Parameters, origin: Origin, links: Sequence[Link], seed: int, epoch_us: int) -> None:
-        model = FlightModel(gains(p), rotorcraft(p))
+    def __init__(
+        self, personality: Personality, p: Parameters, origin: Origin, links: Sequence[Link], seed: int, epoch_us: int
+    ) -> None:
+        model = FlightModel(personality.gains(p), personality.craft(p))
         self.vehicle = Vehicle(
+            personality=personality,
             model=model,
-            commander=Commander(p, model, origin.altitude, self._say),
+            commander=personality.commander(p, model, origin, self._say),
             parameters=p,
             origin=origin,
             noise=np.random.default_rng(seed),
             epoch_us=epoch_us,
         )
         self._links = links
-        self._system = int(p["MAV_SYS_ID"])
+        self._system = int(p[personality.system_id])
         self._parameter_changes = p.changes
         self._texts = 0
 
@@ -71,7 +73,8 @@ class Autopilot:
             for other in self._links:
                 if other is not link and other.heard:
                     other.forward(raw)
-        if target not in (0, self._system) or getattr(message, "target_component", 0) not in (0, 1):
+        ours = self.vehicle.personality.answers.any_component or getattr(message, "target_component", 0) in (0, 1)
+        if target not in (0, self._system) or not ours:
             link.counters["not for us"] += 1
             return
         service = SERVICES.get(message.get_type())
@@ -91,8 +94,9 @@ class Autopilot:
         v = self.vehicle
         if v.parameters.changes != self._parameter_changes:
             self._parameter_changes = v.parameters.changes
-            v.model.gains = gains(v.parameters)
-            v.model.craft = rotorcraft(v.parameters)
+            v.model.gains = v.personality.gains(v.parameters)
+            v.model.craft = v.personality.craft(v.parameters)
+            v.commander.battery.pack = v.personality.pack(v.parameters)
         setpoint = v.commander.step(tick_ms / 1000.0)
         v.model.advance(setpoint, v.commander.flying, tick_ms)
         v.commander.now_ms += tick_ms
@@ -104,12 +108,12 @@ class Autopilot:
         built: dict[str, Payload | None] = {}
         for link in self._links:
             parameters.continue_list(v, link)
-            if now < px4.TELEMETRY_MS:
+            if now < v.personality.timeline.telemetry_ms:
                 continue
             for name, stream in link.streams.items():
                 if (link.streaming or name == "HEARTBEAT") and stream.take_due(now):
                     if name not in built:
-                        built[name] = MESSAGES[name](v)
+                        built[name] = v.personality.messages[name](v)
                     payload = built[name]
                     if payload is not None:
                         link.send(payload)

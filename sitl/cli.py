@@ -1,12 +1,13 @@
 """Command line of the simulated autopilot: `python -m sitl`, `aerialstar sitl`."""
 
 import sys
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 
 def sitl(
+    personality: Annotated[Literal["px4"], typer.Option(help="Which autopilot to play.")] = "px4",
     gcs_port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the ground station.")] = 14550,
     companion_port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the companion.")] = 14540,
     gcs_bind: Annotated[int, typer.Option(min=0, max=65535, help="Where the ground link listens; 0: any.")] = 18570,
@@ -35,13 +36,15 @@ def sitl(
     ] = None,
     system_id: Annotated[int, typer.Option(min=1, max=250, help="MAVLink system id.")] = 1,
 ) -> None:
-    """Simulate a PX4-like quadcopter that MAVLink clients can fly (UDP on loopback)."""
+    """Simulate a PX4 or ArduCopter quadcopter that MAVLink clients can fly (UDP on loopback)."""
     from sitl.origin import read_origin
     from sitl.parameters import ParameterError, Parameters
+    from sitl.personality import personality as personality_of
 
-    parameters = Parameters()
+    played = personality_of(personality)
+    parameters = Parameters(played.table)
     try:
-        parameters.set("MAV_SYS_ID", system_id)
+        parameters.set(played.system_id, system_id)
         for assignment in param or ():
             parameters.assign(assignment)
     except ParameterError as error:
@@ -58,6 +61,7 @@ def sitl(
     raise typer.Exit(
         run(
             Options(
+                personality=played,
                 gcs_port=gcs_port,
                 companion_port=companion_port,
                 gcs_bind=gcs_bind,

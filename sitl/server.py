@@ -16,8 +16,7 @@ from sitl.flight_model import compile_now
 from sitl.link import Link, PortError
 from sitl.origin import Origin
 from sitl.parameters import Parameters
-from sitl.px4 import COMPANION_RATES_HZ, GCS_RATES_HZ
-from sitl.vehicle_setup import gains, rotorcraft
+from sitl.personality import Personality
 
 BEHIND_MAX_S = 0.1
 """A paced vehicle that is further behind the wall clock lets the wall clock go, rather than rush."""
@@ -35,6 +34,8 @@ ORPHAN_CHECK_S = 1.0
 class Options:
     """How to run; ports are UDP on loopback, 0 picks a free one to listen on."""
 
+    personality: Personality
+    parameters: Parameters
     gcs_port: int = 14550
     companion_port: int = 14540
     gcs_bind: int = 18570
@@ -47,7 +48,6 @@ class Options:
     """Process id of our parent, without which no flight will begin."""
     seed: int = 0
     origin: Origin = field(default_factory=Origin)
-    parameters: Parameters = field(default_factory=Parameters)
 
 
 class Stopped(Exception):  # noqa: N818  # not an error: somebody asked the process to end
@@ -72,19 +72,20 @@ class Server:
 
     def __init__(self, options: Options) -> None:
         """Raises PortError."""
-        p = options.parameters
+        personality, p = options.personality, options.parameters
+        rates_hz = personality.companion_rates_hz
         self._options = options
         self._was_controlled = False
         self._over_ms: int | None = None
         """Since when there is nothing left to fly."""
         self._open: list[Link | ControlSocket] = []
         try:
-            system = int(p["MAV_SYS_ID"])
+            system = int(p[personality.system_id])
             self._companion = self._opened(
-                Link("companion", options.companion_bind, options.companion_port, COMPANION_RATES_HZ, system)
+                Link("companion", options.companion_bind, options.companion_port, rates_hz, system)
             )
             self._gcs = self._opened(
-                Link("gcs", options.gcs_bind, options.gcs_port, GCS_RATES_HZ, system, talks_first=False)
+                Link("gcs", options.gcs_bind, options.gcs_port, personality.gcs_rates_hz, system, talks_first=False)
             )
             self._control = ControlSocket(options.control_port or 0) if self._controllable else None
         except PortError:
@@ -93,9 +94,11 @@ class Server:
         if self._control is not None:
             self._open.append(self._control)
         with told_if_slow():
-            compile_now(gains(p), rotorcraft(p))
+            compile_now(personality.gains(p), personality.craft(p))
         epoch_us = LOCKSTEP_EPOCH_US if options.lockstep else time.time_ns() // 1000
-        self._autopilot = Autopilot(p, options.origin, (self._companion, self._gcs), options.seed, epoch_us)
+        self._autopilot = Autopilot(
+            personality, p, options.origin, (self._companion, self._gcs), options.seed, epoch_us
+        )
         self._selector = selectors.DefaultSelector()
         if self._control is not None:
             self._selector.register(self._control.listener, selectors.EVENT_READ)

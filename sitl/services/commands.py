@@ -1,17 +1,16 @@
 """The command protocol: COMMAND_LONG, COMMAND_INT and SET_MODE, each answered with COMMAND_ACK at once.
 
-A handler returns the result, or None where PX4 does not answer at all.
+A handler returns the result, or None where the autopilot does not answer at all.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sitl.commander import Result
 from sitl.frames import Message, name_of, pack
 from sitl.link import Link
-from sitl.px4 import STICK_MAIN_MODES, Mode
-from sitl.telemetry import MESSAGES, Vehicle
+from sitl.personality import Result
+from sitl.vehicle import Vehicle
 
 FORCE = 21196.0
 """COMPONENT_ARM_DISARM.param2 that overrides the checks."""
@@ -35,23 +34,12 @@ def arm_disarm(v: Vehicle, _: Link, command: Command) -> Result | None:
         return v.commander.arm(force)
     if command.p[0] == 0.0:
         return v.commander.disarm(force)
-    return None
+    return v.personality.answers.bad_arm_value
 
 
 def do_set_mode(v: Vehicle, _: Link, command: Command) -> Result:
     _base, main, sub, _p4 = command.p
-    return choose_mode(v, main, sub)
-
-
-def choose_mode(v: Vehicle, main: float, sub: float) -> Result:
-    """Mode by PX4's main and sub mode numbers."""
-    if main in STICK_MAIN_MODES:
-        v.commander.say("Mode needs manual control, and there is none", 2)
-        return Result.TEMPORARILY_REJECTED
-    for mode in Mode:
-        if mode.value[0] == main and (mode.value[1] == sub or main != 4):
-            return v.commander.set_mode(mode)
-    return Result.UNSUPPORTED
+    return v.commander.set_mode(v.personality.mode_number(main, sub))
 
 
 def takeoff(v: Vehicle, _: Link, command: Command) -> Result:
@@ -59,15 +47,15 @@ def takeoff(v: Vehicle, _: Link, command: Command) -> Result:
 
 
 def land(v: Vehicle, _: Link, command: Command) -> Result:
-    return v.commander.set_mode(Mode.LAND)
+    return v.commander.land()
 
 
 def return_to_launch(v: Vehicle, _: Link, command: Command) -> Result:
-    return v.commander.set_mode(Mode.RTL)
+    return v.commander.return_home()
 
 
 def mission_start(v: Vehicle, _: Link, command: Command) -> Result:
-    return v.commander.set_mode(Mode.MISSION)
+    return v.commander.start_mission()
 
 
 def set_home(v: Vehicle, _: Link, command: Command) -> Result:
@@ -86,9 +74,9 @@ def request_message(v: Vehicle, link: Link, command: Command) -> Result:
     name = name_of(int(number)) if math.isfinite(number) else None
     if name == "MESSAGE_INTERVAL":
         return get_message_interval(v, link, Command(0, (command.p[1], 0.0, 0.0, 0.0), 0.0, 0.0, 0.0))
-    if name not in MESSAGES:
-        return Result.DENIED
-    payload = MESSAGES[name](v)
+    if name is None or name not in v.personality.messages:
+        return v.personality.answers.unknown_message
+    payload = v.personality.messages[name](v)
     if payload is None:
         return Result.TEMPORARILY_REJECTED
     link.send(payload)
@@ -98,23 +86,23 @@ def request_message(v: Vehicle, link: Link, command: Command) -> Result:
 def set_message_interval(v: Vehicle, link: Link, command: Command) -> Result:
     number, interval_us = command.p[:2]
     name = name_of(int(number)) if math.isfinite(number) else None
-    if name not in MESSAGES or not math.isfinite(interval_us):
-        return Result.FAILED
+    if name is None or name not in v.personality.messages or not math.isfinite(interval_us):
+        return v.personality.answers.unknown_interval
     link.set_interval(name, interval_us, v.now_ms)
     return Result.ACCEPTED
 
 
 def get_message_interval(v: Vehicle, link: Link, command: Command) -> Result:
     name = name_of(int(command.p[0])) if math.isfinite(command.p[0]) else None
-    if name not in MESSAGES:
-        return Result.DENIED
+    if name is None or name not in v.personality.messages:
+        return v.personality.answers.unknown_message
     link.send(pack("MESSAGE_INTERVAL", message_id=int(command.p[0]), interval_us=link.interval_us(name)))
     return Result.ACCEPTED
 
 
 def _send(name: str) -> Callable[[Vehicle, Link, Command], Result]:
     def send(v: Vehicle, link: Link, command: Command) -> Result:
-        payload = MESSAGES[name](v)
+        payload = v.personality.messages[name](v)
         if payload is None:
             return Result.TEMPORARILY_REJECTED
         link.send(payload)
@@ -173,6 +161,7 @@ def command_int(v: Vehicle, link: Link, message: Message) -> None:
 
 
 def set_mode(v: Vehicle, link: Link, message: Message) -> None:
-    """SET_MODE is DO_SET_MODE in an older dress, and acknowledged as such."""
-    result = choose_mode(v, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
-    acknowledge(link, message, 176, result)
+    """SET_MODE is DO_SET_MODE in an older dress; PX4 acknowledges it as such."""
+    result = v.commander.set_mode(message.custom_mode)
+    if v.personality.answers.set_mode:
+        acknowledge(link, message, 176, result)

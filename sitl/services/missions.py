@@ -2,7 +2,7 @@
 
 from sitl.frames import Message, pack
 from sitl.link import Link
-from sitl.telemetry import Vehicle
+from sitl.vehicle import Vehicle
 
 ACCEPTED = 0
 UNSUPPORTED = 3

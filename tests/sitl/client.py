@@ -15,7 +15,8 @@ from sitl.autopilot import Autopilot
 from sitl.link import Link
 from sitl.origin import Origin
 from sitl.parameters import Parameters
-from sitl.px4 import COMPANION_RATES_HZ, GCS_RATES_HZ
+from sitl.px4.personality import PX4
+from sitl.px4.streams import COMPANION_RATES_HZ, GCS_RATES_HZ
 from tests.sitl.process import SitlProcess, free_udp_port
 
 NAN = math.nan
@@ -190,13 +191,13 @@ class Direct(Client):
     """Flies an autopilot in this process, over its real UDP links."""
 
     def __init__(self, rates_hz: dict[str, float] = SLOW_RATES_HZ, seed: int = 0, **parameters: float) -> None:
-        p = Parameters()
+        p = Parameters(PX4.table)
         for name, value in parameters.items():
             p.set(name, value)
         port = free_udp_port()
         self.link = Link("companion", 0, port, rates_hz, 1)
         self.gcs = Link("gcs", 0, free_udp_port(), GCS_RATES_HZ, 1, talks_first=False)
-        self.autopilot = Autopilot(p, Origin(), (self.link, self.gcs), seed, 0)
+        self.autopilot = Autopilot(PX4, p, Origin(), (self.link, self.gcs), seed, 0)
         super().__init__(port, self.link.port)
 
     def close(self) -> None:

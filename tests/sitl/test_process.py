@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from typer.testing import CliRunner
 
 from sitl.cli import sitl as sitl_command
-from sitl.px4 import COMPANION_RATES_HZ
+from sitl.px4.streams import COMPANION_RATES_HZ
 from tests.sitl.client import Lockstep, direct, lockstep
 from tests.sitl.process import free_udp_port, sitl_process
 

@@ -8,13 +8,10 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sitl.control import Setpoint
 from sitl.parameters import Parameters
 from sitl.physics import Body, heading
-from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_point
+from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_point, turned, vector
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
@@ -34,11 +31,6 @@ class Autonomous(Protocol):
     def landing(self) -> bool: ...
 
     def step(self, body: Body, dt: float) -> Setpoint: ...
-
-
-def vector(array: NDArray[np.float64]) -> Vec3:
-    """A float64 [3] array as three floats."""
-    return float(array[0]), float(array[1]), float(array[2])
 
 
 def limits(p: Parameters) -> Limits:
@@ -217,12 +209,6 @@ class Return:
             goal = math.atan2(east, north) if far else self._home_yaw
             self._yaw = turned(self._yaw, goal, math.radians(self._p["MPC_YAWRAUTO_MAX"]) * dt)
         return tracking(self._reference, self._yaw)
-
-
-def turned(yaw: float, goal: float, step: float) -> float:
-    """Yaw moved towards goal by at most `step`, the shorter way round [rad]."""
-    error = math.remainder(goal - yaw, 2.0 * math.pi)
-    return math.remainder(yaw + min(max(error, -step), step), 2.0 * math.pi)
 
 
 class Descend:

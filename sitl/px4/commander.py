@@ -1,43 +1,28 @@
-"""The commander: arming, flight modes, failsafes and landed state, as PX4 was seen to behave.
+"""PX4's commander: arming, flight modes, failsafes and landed state, as PX4 was seen to behave.
 
 Time is vehicle time in milliseconds since boot; nothing here waits. What is to be told to the ground goes to `say`.
 """
 
 import math
 from collections.abc import Callable
-from enum import IntEnum
 
-from sitl.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff, vector
 from sitl.battery import Battery
 from sitl.control import Setpoint
 from sitl.flight_model import NOTHING, FlightModel
-from sitl.offboard import OffboardStream, Target
+from sitl.origin import Origin
 from sitl.parameters import Parameters
+from sitl.personality import CRITICAL, ERROR, INFO, WARNING, Landed, Result, State, Timeline
 from sitl.physics import GRAVITY, heading
-from sitl.px4 import ARMABLE_MS, DISARM_PREFLIGHT_EXTRA_S, HOME_MS, Mode
+from sitl.px4.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff
+from sitl.px4.modes import BASE_MODE, STICK_MAIN_MODES, Mode, custom_mode, mode_of
+from sitl.px4.offboard import OffboardStream, SetpointRefusedError, read_target
+from sitl.px4.vehicle_setup import pack
+from sitl.reference import vector
+from sitl.targets import PositionTarget
 
-CRITICAL, WARNING, INFO = 2, 4, 6
-"""MAV_SEVERITY."""
-
-
-class Result(IntEnum):
-    """MAV_RESULT."""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-    FAILED = 4
-
-
-class Landed(IntEnum):
-    """MAV_LANDED_STATE."""
-
-    ON_GROUND = 1
-    IN_AIR = 2
-    TAKEOFF = 3
-    LANDING = 4
-
+BOOT = Timeline(telemetry_ms=500, heartbeat_ms=1000, position_ms=2000, home_ms=2400, armable_ms=4000)
+DISARM_PREFLIGHT_EXTRA_S = 1.0
+"""Auto-disarm without takeoff was seen at 11 s with COM_DISARM_PRFLT = 10."""
 
 FALLBACK = {0: Mode.POSCTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.LOITER}
 """COM_OBL_RC_ACT -> what is flown when the OFFBOARD stream is lost and there are no sticks."""
@@ -46,15 +31,13 @@ FALLBACK = {0: Mode.POSCTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.LOITER}
 class Commander:
     """The vehicle's decisions. `step` is called once per tick, before the physics."""
 
-    def __init__(
-        self, p: Parameters, model: FlightModel, origin_altitude: float, say: Callable[[str, int], None]
-    ) -> None:
+    def __init__(self, p: Parameters, model: FlightModel, origin: Origin, say: Callable[[str, int], None]) -> None:
         """`say(text, severity)` sends a STATUSTEXT."""
         self._p = p
         self._body = model.body
         self._controller = model.controller
-        self._origin_altitude = origin_altitude
-        self.battery = Battery()
+        self._origin_altitude = origin.altitude
+        self.battery = Battery(pack(p))
         self.stream = OffboardStream()
         self._say = say
         self.now_ms = 0
@@ -105,13 +88,13 @@ class Commander:
 
     def why_not_arm(self) -> str:
         """The arming checks: what stands against arming now; empty when nothing does."""
-        if self.now_ms < ARMABLE_MS:
+        if self.now_ms < BOOT.armable_ms:
             return "Resolve system health failures first"
         if self.mode is Mode.OFFBOARD and not self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"]):
             return "Resolve system health failures first"
         if self.mode in (Mode.RTL, Mode.LAND, Mode.POSCTL, Mode.MISSION):
             return "switch to another mode first"
-        if self.battery.remaining(self._p) < self._p["BAT_CRIT_THR"]:
+        if self.battery.level >= 2:
             return "low battery"
         return ""
 
@@ -132,7 +115,24 @@ class Commander:
             self.say(f"Using default takeoff altitude: {self._p['MIS_TAKEOFF_ALT']:.1f} m")
         return self._take(Mode.TAKEOFF)
 
-    def set_mode(self, mode: Mode) -> Result:
+    def land(self) -> Result:
+        return self._choose(Mode.LAND)
+
+    def return_home(self) -> Result:
+        return self._choose(Mode.RTL)
+
+    def start_mission(self) -> Result:
+        return self._choose(Mode.MISSION)
+
+    def set_mode(self, custom_mode: int) -> Result:
+        """The mode of a HEARTBEAT.custom_mode."""
+        if custom_mode >> 16 & 0xFF in STICK_MAIN_MODES:
+            self.say("Mode needs manual control, and there is none", CRITICAL)
+            return Result.TEMPORARILY_REJECTED
+        mode = mode_of(custom_mode)
+        return Result.UNSUPPORTED if mode is None else self._choose(mode)
+
+    def _choose(self, mode: Mode) -> Result:
         """Fly a mode. While disarmed every mode is taken; in the air only one that can be flown now."""
         if mode is Mode.MISSION:
             self.say("Mode switch to Mission rejected: no valid mission available", CRITICAL)
@@ -148,9 +148,14 @@ class Commander:
                 return Result.TEMPORARILY_REJECTED
         return self._take(mode)
 
-    def receive(self, target: Target) -> None:
-        """A valid OFFBOARD setpoint."""
-        self.stream.receive(target, self.now_ms, self._p["COM_OF_LOSS_T"])
+    def receive(self, target: PositionTarget) -> None:
+        """A setpoint that PX4 would not fly is told by STATUSTEXT and does not keep the stream alive."""
+        try:
+            understood = read_target(target, heading(self._body.attitude))
+        except SetpointRefusedError as error:
+            self.say(str(error), ERROR)
+            return
+        self.stream.receive(understood, self.now_ms, self._p["COM_OF_LOSS_T"])
 
     def set_home(self, position_ned: tuple[float, float, float]) -> None:
         """Another home."""
@@ -161,6 +166,24 @@ class Commander:
         """What SYS_STATUS's PREARM_CHECK bit says: it may arm, or flies and nothing is wrong."""
         return not self.failsafe if self.armed else not self.why_not_arm()
 
+    @property
+    def system_status(self) -> State:
+        if self.armed:
+            return State.ACTIVE if self.ready else State.CRITICAL
+        return State.STANDBY if self.ready else State.UNINIT
+
+    @property
+    def base_mode(self) -> int:
+        return BASE_MODE[self.mode] | (0x80 if self.armed else 0)
+
+    @property
+    def custom_mode(self) -> int:
+        return custom_mode(self.mode)
+
+    @property
+    def intended_custom_mode(self) -> int:
+        return custom_mode(self.intended)
+
     def say(self, text: str, severity: int = INFO) -> None:
         """Tell the ground; PX4 ends its texts with a tab where an event carries the same news."""
         self._say(f"{text}\t", severity)
@@ -169,7 +192,7 @@ class Commander:
 
     def step(self, dt: float) -> Setpoint:
         """Decide what is flown for the coming tick of dt [s]; `flying` tells whether at all."""
-        if self.home is None and self.now_ms >= HOME_MS:
+        if self.home is None and self.now_ms >= BOOT.home_ms:
             self.home = vector(self._body.position)
         if self.armed:
             self._watch_stream()
@@ -324,9 +347,7 @@ class Commander:
     def _watch_battery(self) -> None:
         """Warn at BAT_LOW_THR and BAT_CRIT_THR; act at the critical and emergency level by COM_LOW_BAT_ACT."""
         p = self._p
-        remaining = self.battery.remaining(p)
-        levels = (p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
-        level = sum(remaining < threshold for threshold in levels)
+        level = self.battery.level
         if level > self._battery_level:
             self._battery_level = level
             self.say(("Low battery", "Critical battery", "Emergency battery level")[level - 1], WARNING)

@@ -1,0 +1,20 @@
+"""Setpoints as they came in, before a personality decides what it flies of them."""
+
+from dataclasses import dataclass
+
+from sitl.reference import Vec3
+
+
+@dataclass(frozen=True)
+class PositionTarget:
+    """SET_POSITION_TARGET_LOCAL_NED, field by field; any value, NaN and infinity included."""
+
+    frame: int
+    """MAV_FRAME."""
+    mask: int
+    """POSITION_TARGET_TYPEMASK: set bits are ignored."""
+    position: Vec3
+    velocity: Vec3
+    acceleration: Vec3
+    yaw: float
+    yaw_rate: float
