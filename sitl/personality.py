@@ -18,8 +18,10 @@ from sitl.frames import Payload
 from sitl.origin import Origin
 from sitl.parameters import Parameter, Parameters
 from sitl.physics import Rotorcraft
+from sitl.plan import Plans
 from sitl.reference import Vec3
 from sitl.targets import PositionTarget
+from sitl.transfer import Rules
 
 if TYPE_CHECKING:
     from sitl.vehicle import Vehicle
@@ -72,6 +74,8 @@ class Commander(Protocol):
     home: Vec3 | None
     """NED from the local origin [m]."""
     battery: Battery
+    plans: Plans
+    """The mission and the fence, kept by the mission service, flown by the commander."""
 
     @property
     def ready(self) -> bool:
@@ -86,6 +90,11 @@ class Commander(Protocol):
 
     @property
     def custom_mode(self) -> int: ...
+
+    @property
+    def in_mission(self) -> bool:
+        """Whether the mode is the one that flies the mission."""
+        ...
 
     @property
     def intended_custom_mode(self) -> int:
@@ -165,6 +174,17 @@ class Answers:
 
 
 @dataclass(frozen=True)
+class Missions:
+    """How plans are transferred and shown."""
+
+    rules: Rules
+    home_first: bool
+    """Whether item 0 of a mission stands for home (ArduPilot)."""
+    integer_frames: bool
+    """Whether MISSION_ITEM_INT shows the _INT frames (PX4)."""
+
+
+@dataclass(frozen=True)
 class Personality:
     """An autopilot's outside."""
 
@@ -175,6 +195,7 @@ class Personality:
     version: Version
     timeline: Timeline
     answers: Answers
+    missions: Missions
     companion_rates_hz: Mapping[str, float]
     gcs_rates_hz: Mapping[str, float]
     stream_groups: Mapping[int, tuple[str, ...]]

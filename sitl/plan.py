@@ -37,12 +37,12 @@ class Verdict(IntEnum):
 
 
 WAYPOINT, LOITER_UNLIM, LOITER_TIME, RETURN, LAND, TAKEOFF, LOITER_TO_ALT = 16, 17, 19, 20, 21, 22, 31
-SPLINE_WAYPOINT, DELAY, CONDITION_DELAY, DO_JUMP, CHANGE_SPEED, SET_HOME = 82, 93, 112, 177, 178, 179
+SPLINE_WAYPOINT, DELAY, DO_JUMP, CHANGE_SPEED, SET_HOME = 82, 93, 177, 178, 179
 POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION = 5001, 5002, 5003, 5004
 
 PLACES = frozenset({WAYPOINT, LOITER_UNLIM, LOITER_TIME, LAND, TAKEOFF, LOITER_TO_ALT, SPLINE_WAYPOINT})
 """Commands with a position: these are flown to."""
-ORDERS = frozenset({RETURN, DELAY, CONDITION_DELAY, DO_JUMP, CHANGE_SPEED, SET_HOME})
+ORDERS = frozenset({RETURN, DELAY, DO_JUMP, CHANGE_SPEED, SET_HOME})
 """Commands without one (SET_HOME has one only when param1 is 0)."""
 PAYLOAD = frozenset({203, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001, 2003, 2500, 2501})
 """Camera and gimbal items, which autopilots pass on to the payload. There is none here: passed over in flight."""
@@ -144,3 +144,55 @@ def judge_whole(items: Sequence[Item], kind: Kind) -> Verdict:
         if item.command == DO_JUMP and not 0 <= item.p[0] < len(items):
             return Verdict.INVALID_PARAM1
     return Verdict.ACCEPTED
+
+
+class Plans:
+    """What the ground has given to this vehicle, and how far its mission is."""
+
+    def __init__(self, first: int = 0) -> None:
+        """`first` is the index of the first item that is flown; ArduPilot keeps home at 0."""
+        self._first = first
+        self.mission: tuple[Item, ...] = ()
+        self.fence: tuple[Item, ...] = ()
+        self.mission_changes = 0
+        self.fence_changes = 0
+        self.current = first
+        """Index of the item flown now, or to be flown next."""
+        self.finished = False
+        self.speed: float | None = None
+        """Horizontal speed that the mission or the ground asked for [m/s]; None: the parameter's."""
+        self.jumps: dict[int, int] = {}
+        """How often each DO_JUMP was followed."""
+        self.reached: list[int] = []
+        """Items done that the ground has not been told of yet."""
+
+    def store(self, kind: Kind, items: tuple[Item, ...]) -> None:
+        """A new plan in place of the old one; a mission begins at its first item."""
+        if kind is Kind.FENCE:
+            self.fence = items
+            self.fence_changes += 1
+        else:
+            self.mission = items
+            self.mission_changes += 1
+            self.rewind()
+
+    @property
+    def flyable(self) -> bool:
+        """Whether there is an item to fly."""
+        return len(self.mission) > self._first
+
+    @property
+    def begun(self) -> bool:
+        """Whether the mission is somewhere after its first item."""
+        return self.current > self._first
+
+    def rewind(self) -> None:
+        """Back to the first item."""
+        self.go_to(self._first)
+
+    def go_to(self, seq: int) -> None:
+        """Go on at an item, as if the mission had not been flown."""
+        self.current = max(seq, self._first)
+        self.finished = False
+        self.speed = None
+        self.jumps = {}

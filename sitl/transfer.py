@@ -7,6 +7,7 @@ next state and what is to be done: frames for a client, texts for all, a plan to
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from sitl.link import Link
 from sitl.plan import Item, Kind, Verdict, judge, judge_whole
 
 
@@ -28,7 +29,7 @@ class Rules:
 class Client:
     """Who transfers: a MAVLink component on a link."""
 
-    link: str
+    link: Link
     system: int
     component: int
 
@@ -123,6 +124,15 @@ Deed: TypeAlias = Ask | Ack | Count | Give | Say | Store
 Step: TypeAlias = tuple[Transfer, tuple[Deed, ...]]
 
 IDLE = Idle()
+
+
+@dataclass
+class Exchange:
+    """What the mission service of one vehicle remembers."""
+
+    transfer: Transfer = IDLE
+    told_current: int = 0
+    """The item that clients were last told is flown."""
 
 
 def _ask(upload: Upload) -> Ask:

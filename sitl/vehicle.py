@@ -1,6 +1,6 @@
 """One vehicle: what its services and its telemetry see of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from sitl.parameters import Parameters
 from sitl.personality import Commander, Personality
 from sitl.physics import Body
 from sitl.reference import vector
+from sitl.transfer import Exchange
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Vehicle:
     noise: np.random.Generator
     epoch_us: int
     """Unix time of boot [us]."""
+    exchange: Exchange = field(default_factory=Exchange)
 
     @property
     def body(self) -> Body:

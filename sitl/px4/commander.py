@@ -9,11 +9,14 @@ from collections.abc import Callable
 from sitl.battery import Battery
 from sitl.control import Setpoint
 from sitl.flight_model import NOTHING, FlightModel
+from sitl.mission_flight import MissionFlight
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import CRITICAL, ERROR, INFO, WARNING, Landed, Result, State, Timeline
 from sitl.physics import GRAVITY, heading
+from sitl.plan import Plans
 from sitl.px4.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff
+from sitl.px4.missions import Pilot, manners
 from sitl.px4.modes import BASE_MODE, STICK_MAIN_MODES, Mode, custom_mode, mode_of
 from sitl.px4.offboard import OffboardStream, SetpointRefusedError, read_target
 from sitl.px4.vehicle_setup import pack
@@ -39,6 +42,17 @@ class Commander:
         self._origin_altitude = origin.altitude
         self.battery = Battery(pack(p))
         self.stream = OffboardStream()
+        self.plans = Plans()
+        self._mission_changes = 0
+        self._pilot = Pilot(
+            self._body,
+            p,
+            origin,
+            home=lambda: self.home or (0.0, 0.0, 0.0),
+            flying=lambda: self.flying,
+            set_home=self.set_home,
+            go_home=self.return_home,
+        )
         self._say = say
         self.now_ms = 0
         self.armed = False
@@ -92,7 +106,7 @@ class Commander:
             return "Resolve system health failures first"
         if self.mode is Mode.OFFBOARD and not self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"]):
             return "Resolve system health failures first"
-        if self.mode in (Mode.RTL, Mode.LAND, Mode.POSCTL, Mode.MISSION):
+        if self.mode in (Mode.RTL, Mode.LAND, Mode.POSCTL) or (self.mode is Mode.MISSION and not self.plans.flyable):
             return "switch to another mode first"
         if self.battery.level >= 2:
             return "low battery"
@@ -122,7 +136,12 @@ class Commander:
         return self._choose(Mode.RTL)
 
     def start_mission(self) -> Result:
-        return self._choose(Mode.MISSION)
+        """MISSION_START: AUTO.MISSION, armed."""
+        if not self.plans.flyable:
+            self.say("Mode switch to Mission rejected: no valid mission available", CRITICAL)
+            return Result.DENIED
+        taken = self._choose(Mode.MISSION)
+        return self.arm() if taken is Result.ACCEPTED else taken
 
     def set_mode(self, custom_mode: int) -> Result:
         """The mode of a HEARTBEAT.custom_mode."""
@@ -134,7 +153,7 @@ class Commander:
 
     def _choose(self, mode: Mode) -> Result:
         """Fly a mode. While disarmed every mode is taken; in the air only one that can be flown now."""
-        if mode is Mode.MISSION:
+        if mode is Mode.MISSION and not self.plans.flyable:
             self.say("Mode switch to Mission rejected: no valid mission available", CRITICAL)
             return Result.TEMPORARILY_REJECTED
         if mode is Mode.TAKEOFF:
@@ -181,6 +200,10 @@ class Commander:
         return custom_mode(self.mode)
 
     @property
+    def in_mission(self) -> bool:
+        return self.mode is Mode.MISSION
+
+    @property
     def intended_custom_mode(self) -> int:
         return custom_mode(self.intended)
 
@@ -198,6 +221,7 @@ class Commander:
             self._watch_stream()
             self._watch_battery()
             self._watch_ground()
+            self._watch_mission()
         setpoint = self._setpoint(dt) if self.armed else NOTHING
         if self.armed and not self.flying and self._wants_up(setpoint):
             self._start_ramp()
@@ -215,6 +239,10 @@ class Commander:
         if isinstance(flown, Takeoff) and flown.done and self.intended is Mode.TAKEOFF:
             self._take(Mode.LOITER)
             self._autonomous = Loiter(self._body, self._p, flown.target)
+        elif isinstance(flown, MissionFlight) and flown.finished and self.mode is Mode.MISSION and self.flying:
+            self.say("Mission finished, loitering")
+            self._take(Mode.LOITER)
+            self._autonomous = Loiter(self._body, self._p, flown.place)
         return setpoint
 
     # Modes
@@ -222,7 +250,7 @@ class Commander:
     def _take(self, mode: Mode) -> Result:
         """The user's will: flown now, and kept against a failsafe that comes later."""
         self.intended = mode
-        if mode not in (Mode.TAKEOFF, Mode.RTL, Mode.LAND):
+        if mode not in (Mode.TAKEOFF, Mode.MISSION, Mode.RTL, Mode.LAND):
             self._mode_after_disarm = mode
         self.failsafe = ""
         self._battery_action = None
@@ -249,6 +277,9 @@ class Commander:
             self._autonomous = Return(body, p, home, self._home_yaw, self._origin_altitude - home[2], self.say)
         elif mode is Mode.POSCTL:
             self._autonomous = Descend(body, p)
+        elif mode is Mode.MISSION and self.armed:
+            self._mission_changes = self.plans.mission_changes
+            self._autonomous = MissionFlight(body, self.plans, manners(p), self._pilot)
         else:
             self._autonomous = Loiter(body, p)
 
@@ -260,6 +291,8 @@ class Commander:
             return False
         if self.mode is Mode.TAKEOFF:
             return True
+        if isinstance(self._autonomous, MissionFlight):
+            return self._autonomous.taking_off
         if self.mode is not Mode.OFFBOARD:
             return False
         climb = -setpoint.velocity[2] if math.isfinite(setpoint.velocity[2]) else 0.0
@@ -292,7 +325,9 @@ class Commander:
                 self._flown_since_arming = True
                 self.has_flown = True
                 self.say("Takeoff detected")
-            if self.mode is Mode.TAKEOFF:
+            if self.mode is Mode.TAKEOFF or (
+                isinstance(self._autonomous, MissionFlight) and self._autonomous.taking_off
+            ):
                 self.landed = Landed.TAKEOFF
             elif self.mode is not Mode.OFFBOARD and self._autonomous.landing:
                 self.landed = Landed.LANDING
@@ -328,6 +363,15 @@ class Commander:
         self.say(f"Disarmed by {why}")
         self.intended = self._mode_after_disarm
         self._enter(self.intended)
+
+    def _watch_mission(self) -> None:
+        """A mission that changes under way is begun anew; one that is gone leaves the vehicle where it is."""
+        if self.mode is Mode.MISSION and self.plans.mission_changes != self._mission_changes:
+            self._mission_changes = self.plans.mission_changes
+            if self.plans.flyable:
+                self._enter(Mode.MISSION)
+            else:
+                self._take(Mode.LOITER)
 
     # Failsafes
 

@@ -5,13 +5,15 @@ import math
 from sitl.frames import Payload
 from sitl.frames import pack as packed
 from sitl.parameters import Parameters
-from sitl.personality import Answers, Personality, Result, Version
+from sitl.personality import Answers, Missions, Personality, Result, Version
+from sitl.plan import Verdict
 from sitl.px4.commander import BOOT, Commander
 from sitl.px4.modes import mode_number
 from sitl.px4.parameters import TABLE
 from sitl.px4.streams import COMPANION_RATES_HZ, GCS_RATES_HZ
 from sitl.px4.vehicle_setup import gains, pack, rotorcraft
 from sitl.telemetry import MESSAGES
+from sitl.transfer import Rules
 from sitl.vehicle import Vehicle
 
 NAN = math.nan
@@ -69,6 +71,11 @@ PX4 = Personality(
         bad_arm_value=None,
         set_mode=True,
         any_component=False,
+    ),
+    missions=Missions(
+        Rules(capacity=(2000, 64), retry_ms=250, timeout_ms=5000, busy=Verdict.ERROR),
+        home_first=False,
+        integer_frames=True,
     ),
     companion_rates_hz=COMPANION_RATES_HZ,
     gcs_rates_hz=GCS_RATES_HZ,
