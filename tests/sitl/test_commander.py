@@ -171,17 +171,6 @@ def test_clock_services(vehicle):
     assert (ping.time_usec, ping.seq, ping.target_system, ping.target_component) == (42, 7, 240, 191)
 
 
-def test_missions_are_empty_and_uploads_refused(vehicle):
-    vehicle.boot()
-    vehicle.send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
-    vehicle.advance()
-    assert vehicle.latest["MISSION_COUNT"].count == 0
-    for count, result in ((3, UNSUPPORTED), (0, ACCEPTED)):
-        vehicle.send(mavlink.MAVLink_mission_count_message(1, 1, count, 0))
-        vehicle.advance()
-        assert vehicle.latest["MISSION_ACK"].type == result
-
-
 # Takeoff and landing
 
 
