@@ -1,7 +1,7 @@
 """A link: one channel to one client, with its own streams, rates, sequence numbers and counters."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 from sitl.frames import SIGNED, Payload, frame
 from sitl.signing import Signing
@@ -40,20 +40,20 @@ class Link:
     def __init__(
         self,
         name: str,
-        rates_hz: dict[str, float],
+        rates_hz: Mapping[str, float],
         system: int,
         put: Callable[[bytes], bool],
         *,
         talks_first: bool = True,
         signing: Signing | None = None,
-        number: int = 0,
         now_ms: int = 0,
     ) -> None:
-        """A link that does not talk first sends only heartbeats until somebody speaks on it; `number` is its link id."""
+        """A link that does not talk first sends only heartbeats until somebody speaks on it."""
         self.name = name
         self.system = system
-        self.number = number
         self.signing = signing or Signing()
+        self.number = self.signing.new_link_id()
+        """The link id of its signatures."""
         self.heard = False
         """Whether somebody speaks on this link."""
         self.counters: Counter[str] = Counter()

@@ -13,10 +13,12 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from sitl.autopilot import Autopilot
 from sitl.link import Link
+from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.px4.personality import PX4
 from sitl.px4.streams import COMPANION_RATES_HZ, GCS_RATES_HZ
+from sitl.udp import UdpPort
 from tests.sitl.process import SitlProcess, free_udp_port
 
 NAN = math.nan
@@ -195,15 +197,20 @@ class Direct(Client):
         for name, value in parameters.items():
             p.set(name, value)
         port = free_udp_port()
-        self.link = Link("companion", 0, port, rates_hz, 1)
-        self.gcs = Link("gcs", 0, free_udp_port(), GCS_RATES_HZ, 1, talks_first=False)
-        self.autopilot = Autopilot(PX4, p, Origin(), (self.link, self.gcs), seed, 0)
-        super().__init__(port, self.link.port)
+        companion = UdpPort("companion", 0, port, lambda put, ms: Link("companion", rates_hz, 1, put, now_ms=ms))
+        self.gcs = UdpPort(
+            "gcs",
+            0,
+            free_udp_port(),
+            lambda put, ms: Link("gcs", GCS_RATES_HZ, 1, put, talks_first=False, now_ms=ms),
+        )
+        self.link = companion.configured
+        self.autopilot = Autopilot(PX4, p, Origin(), Network((companion, self.gcs), 1), seed, 0)
+        super().__init__(port, companion.port)
 
     def close(self) -> None:
         super().close()
-        self.link.close()
-        self.gcs.close()
+        self.autopilot.network.close()
 
     def step(self, ms: int) -> int:
         before = self.link.sent
