@@ -13,7 +13,7 @@ from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
-from sitl.services import clock, commands, missions, parameters, setpoints
+from sitl.services import clock, commands, files, logs, missions, parameters, setpoints, signing
 from sitl.telemetry import statustexts
 from sitl.vehicle import Vehicle
 
@@ -39,6 +39,10 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
     "MISSION_REQUEST_INT": missions.mission_request_int,
     "MISSION_ACK": missions.mission_ack,
     "MISSION_SET_CURRENT": missions.mission_set_current,
+    "FILE_TRANSFER_PROTOCOL": files.file_transfer_protocol,
+    "LOG_REQUEST_LIST": logs.log_request_list,
+    "LOG_REQUEST_DATA": logs.log_request_data,
+    "SETUP_SIGNING": signing.setup_signing,
 }
 """Who answers which message; what is not here is taken note of by nobody."""
 
