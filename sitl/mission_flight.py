@@ -133,11 +133,16 @@ class Fly:
         """`yaw` is the heading now; `end` the speed to arrive with [m/s]."""
         self.reference = reference
         self.target = target
-        self.limits = manners.limits
+        self._manners = manners
+        self._limits = manners.limits
         self.yaw = yaw
         self._goal_yaw = goal_yaw
-        self._yaw_rate = manners.yaw_rate
         self._end = end
+
+    def set_speed(self, speed: float | None) -> None:
+        """Fly at so many m/s; None: as usual."""
+        usual = self._manners.limits
+        self._limits = usual if speed is None else replace(usual, speed_xy=min(speed, self._manners.speed_max))
 
     def distance(self, body: Body) -> tuple[float, float]:
         """Horizontal and vertical distance of the vehicle to the place [m]."""
@@ -146,13 +151,13 @@ class Fly:
 
     def step(self, body: Body, dt: float) -> Setpoint:
         actual = vector(body.position)
-        self.reference = pass_by(self.reference, self.target, self._end, actual, self.limits, dt)
+        self.reference = pass_by(self.reference, self.target, self._end, actual, self._limits, dt)
         goal = self._goal_yaw
         if math.isnan(goal):
             north, east = self.target[0] - actual[0], self.target[1] - actual[1]
             far = math.hypot(north, east) > TURN_DISTANCE_M
             goal = math.atan2(east, north) if far else self.yaw
-        self.yaw = turned(self.yaw, goal, self._yaw_rate * dt)
+        self.yaw = turned(self.yaw, goal, self._manners.yaw_rate * dt)
         return Setpoint(self.reference.position, self.reference.velocity, NAN3, self.yaw, NAN)
 
 
@@ -197,6 +202,11 @@ class MissionFlight:
     def place(self) -> Vec3 | None:
         """The place flown to, if there is one."""
         return self._leg.target if isinstance(self._leg, Fly) else None
+
+    def set_speed(self, speed: float | None) -> None:
+        """What DO_CHANGE_SPEED asks for, on the leg under way; later legs take it from the plans."""
+        if isinstance(self._leg, Fly):
+            self._leg.set_speed(speed)
 
     # Ticks
 
@@ -318,12 +328,7 @@ class MissionFlight:
     def _change_speed(self, item: Item) -> None:
         """DO_CHANGE_SPEED: param2 [m/s]; not above zero is the usual speed again."""
         self._plans.speed = item.p[1] if item.p[1] > 0.0 else None
-        if isinstance(self._leg, Fly):
-            self._leg.limits = self._limits()
-
-    def _limits(self) -> Limits:
-        usual, asked = self._manners.limits, self._plans.speed
-        return usual if asked is None else replace(usual, speed_xy=min(asked, self._manners.speed_max))
+        self.set_speed(self._plans.speed)
 
     def _reference(self, body: Body) -> Reference:
         """Where the last leg has its reference, so that speed is kept from item to item."""
@@ -346,7 +351,7 @@ class MissionFlight:
             target = (target[0], target[1], reference.position[2])
         yaw = math.radians(item.p[3]) if item.command != LAND and math.isfinite(item.p[3]) else NAN
         leg = Fly(reference, target, self._yaw(body), self._manners, yaw, self._end_speed(item, reference, target))
-        leg.limits = self._limits()
+        leg.set_speed(self._plans.speed)
         return leg
 
     def _end_speed(self, item: Item, reference: Reference, target: Vec3) -> float:
@@ -358,7 +363,7 @@ class MissionFlight:
                 return 0.0
             if after.command in PLACES:
                 place = self._pilot.place(after, target)
-                limits = self._limits()
+                limits = self._manners.limits
                 corner = corner_speed(reference.position, target, place, limits.acceleration_xy, self._manners.radius)
-                return min(corner, limits.speed_xy, math.dist(target, place))
+                return min(corner, math.dist(target, place))
         return 0.0

@@ -20,7 +20,7 @@ from sitl.parameters import Parameter, Parameters
 from sitl.physics import Rotorcraft
 from sitl.plan import Plans
 from sitl.reference import Vec3
-from sitl.targets import PositionTarget
+from sitl.targets import Destination, PositionTarget
 from sitl.transfer import Rules
 
 if TYPE_CHECKING:
@@ -121,6 +121,22 @@ class Commander(Protocol):
 
     def receive(self, target: PositionTarget) -> None:
         """A setpoint for this vehicle, of any content."""
+        ...
+
+    def reposition(self, goal: Destination) -> Result:
+        """DO_REPOSITION: fly to a place and hold."""
+        ...
+
+    def change_speed(self, kind: float, speed: float) -> Result:
+        """DO_CHANGE_SPEED, of a kind of SPEED_TYPE, to [m/s]."""
+        ...
+
+    def pause(self, hold: bool) -> Result:
+        """DO_PAUSE_CONTINUE: hold, or go on with the mission."""
+        ...
+
+    def enable_fence(self, on: bool) -> Result:
+        """DO_FENCE_ENABLE."""
         ...
 
     def set_home(self, position_ned: Vec3) -> None: ...

@@ -18,3 +18,17 @@ class PositionTarget:
     acceleration: Vec3
     yaw: float
     yaw_rate: float
+
+
+@dataclass(frozen=True)
+class Destination:
+    """DO_REPOSITION; NaN leaves a value as it is."""
+
+    place: Vec3
+    """NED [m]; north and east are NaN together."""
+    yaw: float
+    """[rad]"""
+    speed: float
+    """[m/s]; the usual one when not above zero."""
+    flags: int
+    """MAV_DO_REPOSITION_FLAGS."""

@@ -9,19 +9,21 @@ from collections.abc import Callable
 from sitl.battery import Battery
 from sitl.control import Setpoint
 from sitl.flight_model import NOTHING, FlightModel
-from sitl.mission_flight import MissionFlight
+from sitl.geofence import Breach
+from sitl.mission_flight import Fly, MissionFlight
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import CRITICAL, ERROR, INFO, WARNING, Landed, Result, State, Timeline
 from sitl.physics import GRAVITY, heading
 from sitl.plan import Plans
 from sitl.px4.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff
+from sitl.px4.fence import CHECK_MS, FLOWN, RETURN, TERMINATE, FenceOfParameters
 from sitl.px4.missions import Pilot, manners
 from sitl.px4.modes import BASE_MODE, STICK_MAIN_MODES, Mode, custom_mode, mode_of
 from sitl.px4.offboard import OffboardStream, SetpointRefusedError, read_target
 from sitl.px4.vehicle_setup import pack
-from sitl.reference import vector
-from sitl.targets import PositionTarget
+from sitl.reference import Reference, stopping_point, vector
+from sitl.targets import Destination, PositionTarget
 
 BOOT = Timeline(telemetry_ms=500, heartbeat_ms=1000, position_ms=2000, home_ms=2400, armable_ms=4000)
 DISARM_PREFLIGHT_EXTRA_S = 1.0
@@ -43,6 +45,11 @@ class Commander:
         self.battery = Battery(pack(p))
         self.stream = OffboardStream()
         self.plans = Plans()
+        self.fence = FenceOfParameters(p, self.plans, origin)
+        self.breach = Breach.NONE
+        self.breaches = 0
+        self._fence_due_ms = 0
+        self._fence_action: tuple[int, Mode] | None = None
         self._mission_changes = 0
         self._pilot = Pilot(
             self._body,
@@ -137,8 +144,7 @@ class Commander:
 
     def start_mission(self) -> Result:
         """MISSION_START: AUTO.MISSION, armed."""
-        if not self.plans.flyable:
-            self.say("Mode switch to Mission rejected: no valid mission available", CRITICAL)
+        if not self._mission_can_be_flown():
             return Result.DENIED
         taken = self._choose(Mode.MISSION)
         return self.arm() if taken is Result.ACCEPTED else taken
@@ -153,8 +159,7 @@ class Commander:
 
     def _choose(self, mode: Mode) -> Result:
         """Fly a mode. While disarmed every mode is taken; in the air only one that can be flown now."""
-        if mode is Mode.MISSION and not self.plans.flyable:
-            self.say("Mode switch to Mission rejected: no valid mission available", CRITICAL)
+        if mode is Mode.MISSION and not self._mission_can_be_flown():
             return Result.TEMPORARILY_REJECTED
         if mode is Mode.TAKEOFF:
             return self.takeoff(math.nan)
@@ -166,6 +171,49 @@ class Commander:
                 self.say("Switching to mode 'Offboard' is currently not possible", CRITICAL)
                 return Result.TEMPORARILY_REJECTED
         return self._take(mode)
+
+    def _mission_can_be_flown(self) -> bool:
+        """Whether there is a mission, inside the fence; says so when not."""
+        outside = self.fence.waypoint_outside(self.home or (0.0, 0.0, 0.0)) if self.plans.flyable else None
+        if outside is not None:
+            self.say(f"Geofence violation for waypoint {outside}", CRITICAL)
+        elif self.plans.flyable:
+            return True
+        self.say("Mode switch to Mission rejected: no valid mission available", CRITICAL)
+        return False
+
+    def reposition(self, goal: Destination) -> Result:
+        """Hold somewhere else; PX4 knows only the flag that changes the mode, and wants it."""
+        if goal.flags != 1:
+            return Result.UNSUPPORTED
+        taken = self._choose(Mode.LOITER)
+        if taken is not Result.ACCEPTED or not self.flying:
+            return taken
+        how = manners(self._p)
+        moving = Reference(vector(self._body.position), vector(self._body.velocity))
+        stop = stopping_point(moving, how.limits)
+        north, east, down = (
+            wanted if math.isfinite(wanted) else here for wanted, here in zip(goal.place, stop, strict=True)
+        )
+        if self.fence.now().breach((north, east, down), self.home or (0.0, 0.0, 0.0)):
+            self.say("Reposition is outside geofence", CRITICAL)
+            return taken
+        self._autonomous = Fly(moving, (north, east, down), heading(self._body.attitude), how, goal.yaw)
+        self.change_speed(1.0, goal.speed)
+        return taken
+
+    def change_speed(self, kind: float, speed: float) -> Result:
+        """The cruise speed of missions and of DO_REPOSITION, until the mission is begun anew."""
+        self.plans.speed = speed if speed > 0.0 else None
+        if isinstance(self._autonomous, Fly | MissionFlight):
+            self._autonomous.set_speed(self.plans.speed)
+        return Result.ACCEPTED
+
+    def pause(self, hold: bool) -> Result:
+        return Result.UNSUPPORTED
+
+    def enable_fence(self, on: bool) -> Result:
+        return Result.UNSUPPORTED
 
     def receive(self, target: PositionTarget) -> None:
         """A setpoint that PX4 would not fly is told by STATUSTEXT and does not keep the stream alive."""
@@ -220,6 +268,7 @@ class Commander:
         if self.armed:
             self._watch_stream()
             self._watch_battery()
+            self._watch_fence()
             self._watch_ground()
             self._watch_mission()
         setpoint = self._setpoint(dt) if self.armed else NOTHING
@@ -254,6 +303,7 @@ class Commander:
             self._mode_after_disarm = mode
         self.failsafe = ""
         self._battery_action = None
+        self._fence_action = None
         if mode is Mode.RTL:
             self.say("Returning to launch")
         elif mode is Mode.LAND:
@@ -360,6 +410,8 @@ class Commander:
         self.failsafe = ""
         self._ramp_ms = None
         self._battery_action = None
+        self._fence_action = None
+        self.breach = Breach.NONE
         self.say(f"Disarmed by {why}")
         self.intended = self._mode_after_disarm
         self._enter(self.intended)
@@ -377,7 +429,7 @@ class Commander:
 
     def _watch_stream(self) -> None:
         alive = self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"])
-        if self.intended is not Mode.OFFBOARD or self.failsafe == "battery":
+        if self.intended is not Mode.OFFBOARD or self.failsafe in ("battery", "fence"):
             return
         if self.failsafe == "offboard":
             if alive:
@@ -387,6 +439,32 @@ class Commander:
             self.failsafe = "offboard"
             self.say("Failsafe activated", CRITICAL)
             self._enter(FALLBACK[int(self._p["COM_OBL_RC_ACT"])])
+
+    def _watch_fence(self) -> None:
+        """GF_ACTION when the fence is breached, once per breach; return and land wait COM_FAIL_ACT_T in hold."""
+        if self._fence_action is not None and self.now_ms >= self._fence_action[0]:
+            _, then = self._fence_action
+            self._fence_action = None
+            self._enter(then)
+        if self.now_ms < self._fence_due_ms or self.home is None:
+            return
+        self._fence_due_ms = self.now_ms + CHECK_MS
+        before = self.breach
+        self.breach = self.fence.now().breach(vector(self._body.position), self.home) if self.flying else Breach.NONE
+        action = int(self._p["GF_ACTION"])
+        if self.breach is Breach.NONE or before is not Breach.NONE or action == 0:
+            return
+        self.breaches += 1
+        self.say("Geofence violation" if self.breach is Breach.BOUNDARY else "Maximum altitude exceeded", CRITICAL)
+        if action == TERMINATE:
+            self.say("Failsafe activated", CRITICAL)
+            self._stop("geofence")
+        elif action in FLOWN and not self.failsafe:
+            self.failsafe = "fence"
+            self.say("Failsafe activated", CRITICAL)
+            if action >= RETURN:
+                self._fence_action = (self.now_ms + int(self._p["COM_FAIL_ACT_T"] * 1000.0), FLOWN[action])
+            self._enter(Mode.LOITER)
 
     def _watch_battery(self) -> None:
         """Warn at BAT_LOW_THR and BAT_CRIT_THR; act at the critical and emergency level by COM_LOW_BAT_ACT."""

@@ -5,27 +5,17 @@ A handler returns the result, or None where the autopilot does not answer at all
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from sitl.frames import Message, name_of, pack
 from sitl.link import Link
 from sitl.personality import Result
+from sitl.services import goto
+from sitl.services.command import Command, from_int, from_long
 from sitl.vehicle import Vehicle
 
 FORCE = 21196.0
 """COMPONENT_ARM_DISARM.param2 that overrides the checks."""
 HOME_ALTITUDE_MAX_M = 20_000.0
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command whichever way it came; x, y are degrees and z metres."""
-
-    number: int
-    p: tuple[float, float, float, float]
-    x: float
-    y: float
-    z: float
 
 
 def arm_disarm(v: Vehicle, _: Link, command: Command) -> Result | None:
@@ -116,7 +106,12 @@ HANDLERS: dict[int, Callable[[Vehicle, Link, Command], Result | None]] = {
     21: land,
     22: takeoff,
     176: do_set_mode,
+    178: goto.do_change_speed,
     179: set_home,
+    192: goto.do_reposition,
+    193: goto.do_pause_continue,
+    207: goto.do_fence_enable,
+    224: goto.do_set_mission_current,
     300: mission_start,
     400: arm_disarm,
     410: _send("HOME_POSITION"),
@@ -151,13 +146,11 @@ def acknowledge(link: Link, message: Message, number: int, result: Result) -> No
 
 
 def command_long(v: Vehicle, link: Link, message: Message) -> None:
-    p = (message.param1, message.param2, message.param3, message.param4)
-    answer(v, link, message, Command(message.command, p, message.param5, message.param6, message.param7))
+    answer(v, link, message, from_long(message))
 
 
 def command_int(v: Vehicle, link: Link, message: Message) -> None:
-    p = (message.param1, message.param2, message.param3, message.param4)
-    answer(v, link, message, Command(message.command, p, message.x * 1e-7, message.y * 1e-7, message.z))
+    answer(v, link, message, from_int(message))
 
 
 def set_mode(v: Vehicle, link: Link, message: Message) -> None:
