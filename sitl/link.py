@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from heapq import heappop, heappush
 
 from sitl.frames import SIGNED, Payload, frame
 from sitl.signing import Signing
@@ -66,7 +67,9 @@ class Link:
         self._put = put
         self._talks_first = talks_first
         self._sequence = 0
-        self._next_due_ms = 0.0
+        self._queue: list[tuple[float, int, str, Stream]] = []
+        """Streams by when they are due, then by age; one that is not in `streams` any more is passed over."""
+        self._entered = 0
         self.reset_streams(now_ms)
 
     @property
@@ -76,8 +79,15 @@ class Link:
 
     def reset_streams(self, now_ms: int) -> None:
         """All streams back to their usual rates."""
-        self.streams = {name: Stream(1000.0 / rate, now_ms) for name, rate in self.default_rates_hz.items()}
-        self._next_due_ms = 0.0
+        self.streams.clear()
+        self._queue.clear()
+        for name, rate in self.default_rates_hz.items():
+            self._schedule(name, Stream(1000.0 / rate, now_ms))
+
+    def _schedule(self, name: str, stream: Stream) -> None:
+        self.streams[name] = stream
+        self._entered += 1
+        heappush(self._queue, (stream.due_ms, self._entered, name, stream))
 
     def set_interval(self, name: str, interval_us: float, now_ms: int) -> None:
         """SET_MESSAGE_INTERVAL: -1 stops, 0 restores the usual rate, else microseconds (10 ms to half an hour)."""
@@ -90,8 +100,7 @@ class Link:
                 self.streams.pop(name, None)
                 return
             interval_us = 1e6 / usual
-        self.streams[name] = Stream(min(max(interval_us / 1000.0, INTERVAL_MIN_MS), INTERVAL_MAX_MS), now_ms)
-        self._next_due_ms = 0.0
+        self._schedule(name, Stream(min(max(interval_us / 1000.0, INTERVAL_MIN_MS), INTERVAL_MAX_MS), now_ms))
 
     def interval_us(self, name: str) -> int:
         """MESSAGE_INTERVAL.interval_us: -1 when not sent."""
@@ -100,16 +109,15 @@ class Link:
 
     def due(self, now_ms: int) -> Iterator[str]:
         """The messages to stream now, by name."""
-        if now_ms < self._next_due_ms:
-            return
-        streaming = self.streaming
-        soonest = float("inf")
-        for name, stream in self.streams.items():
-            if now_ms >= stream.due_ms and (streaming or name == "HEARTBEAT"):
-                stream.take_due(now_ms)
+        queue = self._queue
+        while queue and queue[0][0] <= now_ms:
+            _, age, name, stream = heappop(queue)
+            if self.streams.get(name) is not stream:
+                continue
+            stream.take_due(now_ms)
+            heappush(queue, (stream.due_ms, age, name, stream))
+            if self.streaming or name == "HEARTBEAT":
                 yield name
-            soonest = min(soonest, stream.due_ms)
-        self._next_due_ms = soonest
 
     def send(self, payload: Payload) -> None:
         """Frame, sign if need be, and send; nobody listening is no error."""

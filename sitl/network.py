@@ -22,10 +22,9 @@ class Port(Protocol):
     """A socket and the links on it."""
 
     name: str
+    links: list[Link]
     counters: Counter[str]
-
-    @property
-    def links(self) -> list[Link]: ...
+    """What came on it from nobody that has a link."""
 
     def receive(self, now_ms: int) -> Iterable[tuple[Link, Frame]]: ...
 

@@ -75,6 +75,7 @@ class TcpPort:
         self.counters: Counter[str] = Counter()
         self._new_link = new_link
         self._clients: list[_Client] = []
+        self.links: list[Link] = []
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -89,10 +90,6 @@ class TcpPort:
     def port(self) -> int:
         """The port it listens on."""
         return int(self._listener.getsockname()[1])
-
-    @property
-    def links(self) -> list[Link]:
-        return [client.link for client in self._clients]
 
     def describe(self) -> str:
         """As printed at start."""
@@ -124,11 +121,14 @@ class TcpPort:
                 continue
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._clients.append(_Client(connection, self._new_link, now_ms))
+            client = _Client(connection, self._new_link, now_ms)
+            self._clients.append(client)
+            self.links.append(client.link)
 
     def _drop(self, client: _Client) -> None:
         client.connection.close()
         self._clients.remove(client)
+        self.links.remove(client.link)
 
     def flush(self) -> None:
         """Send what waits; clients that are gone are dropped."""

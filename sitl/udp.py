@@ -58,6 +58,7 @@ class UdpPort:
             self._socket.close()
             raise PortError(f"{name} link: UDP port 127.0.0.1:{bind_port} cannot be bound ({error})") from error
         self._peers: dict[Address, _Peer] = {}
+        self.links: list[Link] = []
         self._configured = self._open(("127.0.0.1", peer_port), 0)
 
     @property
@@ -75,10 +76,6 @@ class UdpPort:
         """The link to the configured peer."""
         return self._configured.link
 
-    @property
-    def links(self) -> list[Link]:
-        return [peer.link for peer in self._peers.values()]
-
     def describe(self) -> str:
         """As printed at start."""
         return f"{self.name} 127.0.0.1:{self.port} -> 127.0.0.1:{self.peer[1]}"
@@ -92,6 +89,7 @@ class UdpPort:
             return True
 
         peer = self._peers[address] = _Peer(address, self._new_link(put, now_ms), self._inbox(address), now_ms)
+        self.links.append(peer.link)
         return peer
 
     def _inbox(self, address: Address) -> socket.socket | None:
@@ -163,6 +161,7 @@ class UdpPort:
         if peer.inbox is not None:
             peer.inbox.close()
         del self._peers[peer.address]
+        self.links.remove(peer.link)
 
     def flush(self) -> None:
         """Every frame was a datagram, and has gone."""
