@@ -12,7 +12,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias
 
 from fastcrc.crc16 import mcrf4xx
-from pymavlink.dialects.v20 import development as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 Message: TypeAlias = Any
 """A decoded message: an instance of one of pymavlink's generated classes, which carry no types."""
