@@ -55,6 +55,7 @@ class State(IntEnum):
     """MAV_STATE."""
 
     UNINIT = 0
+    BOOT = 1
     STANDBY = 3
     ACTIVE = 4
     CRITICAL = 5
