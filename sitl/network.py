@@ -28,6 +28,8 @@ class Port(Protocol):
 
     def receive(self, now_ms: int) -> Iterable[tuple[Link, Frame]]: ...
 
+    def lost(self) -> dict[Link | None, int]: ...
+
     def flush(self) -> None: ...
 
     def close(self) -> None: ...
@@ -101,9 +103,14 @@ class Network:
         return any(system == other for other, _ in known)
 
     def counters(self) -> dict[str, dict[str, int]]:
-        """What every link, and every port of strangers, has counted."""
-        counted = {f"{link.name} {link.number}": {**link.counters, "sent": link.sent} for link in self.links}
-        return counted | {f"{port.name} strangers": dict(port.counters) for port in self._ports if port.counters}
+        """What every link, and every port of strangers, has counted; `lost` is what the kernel had no room for."""
+        counted: dict[str, dict[str, int]] = {}
+        for port in self._ports:
+            lost = port.lost()
+            for link in port.links:
+                counted[f"{link.name} {link.number}"] = {**link.counters, "sent": link.sent, "lost": lost.get(link, 0)}
+            counted[f"{port.name} strangers"] = {**port.counters, "lost": lost.get(None, 0)}
+        return counted
 
     def flush(self) -> None:
         """Send what waits to be sent."""

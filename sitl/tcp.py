@@ -130,6 +130,10 @@ class TcpPort:
         self._clients.remove(client)
         self.links.remove(client.link)
 
+    def lost(self) -> dict[Link | None, int]:
+        """Nothing: TCP holds the sender back."""
+        return {}
+
     def flush(self) -> None:
         """Send what waits; clients that are gone are dropped."""
         for client in tuple(self._clients):

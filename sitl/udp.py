@@ -5,6 +5,7 @@ that fits it, so that a stranger who floods the port fills the strangers' receiv
 """
 
 import socket
+import struct
 from collections import Counter
 from collections.abc import Callable
 
@@ -23,6 +24,17 @@ SILENT_MS = 10_000
 PEERS_MAX = 16
 READS_MAX = 4096
 """Datagrams taken from one socket in one go; what is left waits, and is dropped by the kernel when it gets too much."""
+
+
+SO_MEMINFO = 55
+"""Linux: nine counters of a socket, the last one how many datagrams it dropped."""
+
+
+def _dropped(one: socket.socket) -> int:
+    try:
+        return int(struct.unpack("=9I", one.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 36))[8])
+    except (OSError, struct.error):
+        return 0
 
 
 class _Peer:
@@ -162,6 +174,11 @@ class UdpPort:
             peer.inbox.close()
         del self._peers[peer.address]
         self.links.remove(peer.link)
+
+    def lost(self) -> dict[Link | None, int]:
+        """Datagrams the kernel had no room for, of each peer and (None) of strangers; empty where it does not tell."""
+        sockets = {peer.link: peer.inbox for peer in self._peers.values() if peer.inbox is not None}
+        return {link: lost for link, one in {**sockets, None: self._socket}.items() if (lost := _dropped(one))}
 
     def flush(self) -> None:
         """Every frame was a datagram, and has gone."""

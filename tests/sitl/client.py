@@ -36,6 +36,8 @@ class Client:
         self.udp.setblocking(False)
         self.to = ("127.0.0.1", to)
         self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.vehicle_system = 1
+        """Whose messages count as `latest`; others' are forwarded to us too."""
         self.time_ms = 0
         self.messages: list = []
         self.times: list[int] = []
@@ -69,7 +71,8 @@ class Client:
             message = self.mav.decode(bytearray(raw))
             self.messages.append(message)
             self.times.append(self.time_ms)
-            self.latest[message.get_type()] = message
+            if message.get_srcSystem() == self.vehicle_system:
+                self.latest[message.get_type()] = message
 
     def until(self, condition: Callable[[], bool], limit_s: float, each: Callable[[], None] | None = None) -> float:
         """Advance by 50 ms (calling `each` before) until the condition holds; vehicle time taken [s]."""
