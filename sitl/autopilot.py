@@ -14,7 +14,7 @@ from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
 from sitl.services import clock, commands, files, logs, missions, parameters, setpoints, signing
-from sitl.telemetry import statustexts
+from sitl.telemetry import TEXT_CHUNK, statustexts
 from sitl.vehicle import Vehicle
 
 TICK_MS = 10
@@ -119,6 +119,12 @@ class Autopilot:
         messages = v.personality.messages
         built: dict[str, Payload | None] = {}
         missions.tell_progress(v, self.network.links)
+        for name in v.commander.news:
+            news = messages[name](v)
+            if news is not None:
+                for link in self.network.links:
+                    link.send(news)
+        v.commander.news.clear()
         for link in self.network.links:
             parameters.continue_list(v, link)
             if not talks:
@@ -132,7 +138,9 @@ class Autopilot:
         self.network.flush()
 
     def _say(self, text: str, severity: int) -> None:
-        self._texts = self._texts % 65535 + 1
-        for payload in statustexts(text, severity, self._texts):
+        number = 0
+        if len(text) >= TEXT_CHUNK or self.vehicle.personality.answers.numbers_short_texts:
+            number = self._texts = self._texts % 65535 + 1
+        for payload in statustexts(text, severity, number):
             for link in self.network.links:
                 link.send(payload)

@@ -75,6 +75,8 @@ class Commander(Protocol):
     home: Vec3 | None
     """NED from the local origin [m]."""
     battery: Battery
+    news: list[str]
+    """Messages, by name, to be sent to everybody at once; emptied when they are."""
     plans: Plans
     """The mission and the fence, kept by the mission service, flown by the commander."""
 
@@ -188,6 +190,8 @@ class Answers:
     """Whether the SET_MODE message is acknowledged."""
     any_component: bool
     """Whether commands to other components of this system are taken."""
+    numbers_short_texts: bool
+    """Whether a STATUSTEXT that fits into one chunk has an id."""
 
 
 @dataclass(frozen=True)

@@ -430,10 +430,14 @@ MESSAGES: dict[str, Callable[[Vehicle], Payload | None]] = {
 """What every personality can send, by message name."""
 
 
+TEXT_CHUNK = 50
+"""Bytes of text in one STATUSTEXT."""
+
+
 def statustexts(text: str, severity: int, number: int) -> list[Payload]:
     """A STATUSTEXT in chunks of 50 characters; a full last chunk is followed by an empty one, which ends it."""
     raw = text.encode("ascii", "replace")
-    chunks = [raw[i : i + 50] for i in range(0, len(raw) + 1, 50)]
+    chunks = [raw[i : i + TEXT_CHUNK] for i in range(0, len(raw) + 1, TEXT_CHUNK)]
     return [
         pack("STATUSTEXT", severity=severity, text=chunk, id=number, chunk_seq=sequence)
         for sequence, chunk in enumerate(chunks)

@@ -44,6 +44,7 @@ class Commander:
         self._origin_altitude = origin.altitude
         self.battery = Battery(pack(p))
         self.stream = OffboardStream()
+        self.news: list[str] = []
         self.plans = Plans()
         self.fence = FenceOfParameters(p, self.plans, origin)
         self.breach = Breach.NONE

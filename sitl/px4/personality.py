@@ -71,6 +71,7 @@ PX4 = Personality(
         bad_arm_value=None,
         set_mode=True,
         any_component=False,
+        numbers_short_texts=True,
     ),
     missions=Missions(
         Rules(capacity=(2000, 64), retry_ms=250, timeout_ms=5000, busy=Verdict.ERROR),

@@ -4,6 +4,7 @@ An unknown name is answered with silence; a value that is not
 allowed changes nothing and is answered with the value in force.
 """
 
+import math
 import struct
 
 from sitl.frames import Message, pack
@@ -54,10 +55,13 @@ def param_set(v: Vehicle, link: Link, message: Message) -> None:
         return
     parameter = v.parameters.parameter(name)
     try:
-        if message.param_type != parameter.mav_type:
+        bytewise = v.personality.integers_bytewise
+        if bytewise and message.param_type != parameter.mav_type:
             raise ParameterError(f"parameter {name}: type {message.param_type} is not {parameter.mav_type}")
-        wire = struct.pack("<f", message.param_value)
-        v.parameters.set(name, from_wire(parameter, wire, v.personality.integers_bytewise))
+        value = from_wire(parameter, struct.pack("<f", message.param_value), bytewise)
+        if parameter.integer and math.isfinite(value):
+            value = round(value)  # ArduPilot casts whatever comes
+        v.parameters.set(name, value)
     except ParameterError as error:
         v.commander.say(str(error), 4)
     send_value(v, link, v.parameters.names.index(name))
