@@ -13,7 +13,7 @@ from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
-from sitl.services import clock, commands, files, logs, missions, parameters, setpoints, signing
+from sitl.services import clock, commands, files, logs, missions, parameters, setpoints, signing, streams
 from sitl.telemetry import TEXT_CHUNK, statustexts
 from sitl.vehicle import Vehicle
 
@@ -25,6 +25,7 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
     "COMMAND_INT": commands.command_int,
     "SET_MODE": commands.set_mode,
     "SET_POSITION_TARGET_LOCAL_NED": setpoints.set_position_target_local_ned,
+    "REQUEST_DATA_STREAM": streams.request_data_stream,
     "PARAM_REQUEST_READ": parameters.param_request_read,
     "PARAM_REQUEST_LIST": parameters.param_request_list,
     "PARAM_SET": parameters.param_set,

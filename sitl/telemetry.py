@@ -159,8 +159,11 @@ def local_position_ned(v: Vehicle) -> Payload | None:
 
 
 def global_position_int(v: Vehicle) -> Payload | None:
-    if not v.located:
-        return None
+    return global_position(v) if v.located else None
+
+
+def global_position(v: Vehicle) -> Payload:
+    """GLOBAL_POSITION_INT, whatever the estimator says."""
     x, y, z = vector(v.body.position)
     vx, vy, vz = vector(v.body.velocity)
     latitude, longitude = v.origin.globe(x, y)
