@@ -26,7 +26,7 @@ from sitl.transfer import Rules
 if TYPE_CHECKING:
     from sitl.vehicle import Vehicle
 
-Name = Literal["px4"]
+Name = Literal["px4", "arducopter"]
 
 CRITICAL, ERROR, WARNING, INFO = 2, 3, 4, 6
 """MAV_SEVERITY."""
@@ -219,6 +219,8 @@ class Personality:
     missions: Missions
     companion_rates_hz: Mapping[str, float]
     gcs_rates_hz: Mapping[str, float]
+    tcp_port: int | None
+    """Where it serves TCP unless told otherwise."""
     stream_groups: Mapping[int, tuple[str, ...]]
     """MAV_DATA_STREAM -> messages of REQUEST_DATA_STREAM; empty where it is not obeyed."""
     table: tuple[Parameter, ...]
@@ -242,6 +244,10 @@ class Personality:
 
 def personality(name: Name) -> Personality:
     """A personality by name."""
+    if name == "arducopter":
+        from sitl.arducopter.personality import ARDUCOPTER
+
+        return ARDUCOPTER
     from sitl.px4.personality import PX4
 
-    return {PX4.name: PX4}[name]
+    return PX4

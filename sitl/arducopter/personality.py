@@ -41,6 +41,7 @@ ARDUCOPTER = Personality(
     ),
     companion_rates_hz=RATES_HZ,
     gcs_rates_hz=RATES_HZ,
+    tcp_port=5760,
     stream_groups=GROUPS,
     table=TABLE,
     system_id="MAV_SYSID",

@@ -80,6 +80,7 @@ PX4 = Personality(
     ),
     companion_rates_hz=COMPANION_RATES_HZ,
     gcs_rates_hz=GCS_RATES_HZ,
+    tcp_port=None,
     stream_groups={},
     table=TABLE,
     system_id="MAV_SYS_ID",
