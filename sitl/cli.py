@@ -11,9 +11,7 @@ MAX_SYSTEM_ID = 250
 
 
 def sitl(
-    personality: Annotated[
-        Literal["px4", "arducopter"], typer.Option(help="Which autopilot to play.")
-    ] = "px4",
+    personality: Annotated[Literal["px4", "arducopter"], typer.Option(help="Which autopilot to play.")] = "px4",
     gcs_port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the ground station.")] = 14550,
     companion_port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the companion.")] = 14540,
     gcs_bind: Annotated[int, typer.Option(min=0, max=65535, help="Where the ground link listens; 0: any.")] = 18570,
@@ -21,7 +19,8 @@ def sitl(
         int, typer.Option(min=0, max=65535, help="Where the companion link listens; 0: any.")
     ] = 14580,
     tcp_port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Serve TCP clients too, on this port; 0: any.  [arducopter: 5760]")
+        int | None,
+        typer.Option(min=0, max=65535, help="Serve TCP clients too, on this port; 0: any.  [arducopter: 5760]"),
     ] = None,
     speed: Annotated[
         float, typer.Option(min=0.01, max=1000.0, help="Vehicle seconds per second of wall clock, when paced.")
