@@ -20,7 +20,7 @@ from sitl.parameters import Parameter, Parameters
 from sitl.physics import Rotorcraft
 from sitl.plan import Plans
 from sitl.reference import Vec3
-from sitl.targets import Destination, PositionTarget
+from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 from sitl.transfer import Rules
 
 if TYPE_CHECKING:
@@ -124,6 +124,14 @@ class Commander(Protocol):
 
     def receive(self, target: PositionTarget) -> None:
         """A setpoint for this vehicle, of any content."""
+        ...
+
+    def receive_attitude(self, target: AttitudeTarget) -> None:
+        """An attitude or rates with a thrust, of any content."""
+        ...
+
+    def pilot(self, sticks: Sticks | None, radio: bool) -> None:
+        """Sticks of a pilot, from a joystick or a radio; None: given back."""
         ...
 
     def reposition(self, goal: Destination) -> Result:

@@ -1,4 +1,4 @@
-"""Setpoints as they came in, before a personality decides what it flies of them."""
+"""Setpoints, destinations and sticks as they came in, before a personality decides what it flies of them."""
 
 from dataclasses import dataclass
 
@@ -18,6 +18,32 @@ class PositionTarget:
     acceleration: Vec3
     yaw: float
     yaw_rate: float
+    message: str = "SET_POSITION_TARGET_LOCAL_NED"
+    """What it came as."""
+
+
+@dataclass(frozen=True)
+class AttitudeTarget:
+    """SET_ATTITUDE_TARGET, field by field; any value."""
+
+    mask: int
+    """ATTITUDE_TARGET_TYPEMASK: set bits are ignored."""
+    attitude: tuple[float, float, float, float]
+    """Body to NED, w first."""
+    rates: Vec3
+    """FRD [rad/s]."""
+    thrust: float
+
+
+@dataclass(frozen=True)
+class Sticks:
+    """A pilot's sticks, each -1 to 1, 0 in the middle."""
+
+    forward: float
+    right: float
+    throttle: float
+    yaw: float
+    """Clockwise from above."""
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,28 @@ from sitl.plan import Plans
 from sitl.px4.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff
 from sitl.px4.fence import CHECK_MS, FLOWN, RETURN, TERMINATE, FenceOfParameters
 from sitl.px4.missions import Pilot, manners
-from sitl.px4.modes import BASE_MODE, STICK_MAIN_MODES, Mode, custom_mode, mode_of
-from sitl.px4.offboard import OffboardStream, SetpointRefusedError, read_target
+from sitl.px4.modes import BASE_MODE, STICK_MAIN_MODES, STICKS, Mode, custom_mode, mode_of
+from sitl.px4.offboard import OffboardStream, SetpointRefusedError, flown, flown_attitude, read_target
+from sitl.px4.sticks import (
+    JOYSTICK_MODES,
+    RADIO_MODES,
+    AltitudeSticks,
+    PositionSticks,
+    StabilizedSticks,
+    StickInput,
+)
 from sitl.px4.vehicle_setup import pack
 from sitl.reference import Reference, stopping_point, vector
-from sitl.targets import Destination, PositionTarget
+from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 
 BOOT = Timeline(telemetry_ms=500, heartbeat_ms=1000, position_ms=2000, home_ms=2400, armable_ms=4000)
 DISARM_PREFLIGHT_EXTRA_S = 1.0
 """Auto-disarm without takeoff was seen at 11 s with COM_DISARM_PRFLT = 10."""
 
+THRUST_ON_GROUND = 0.6
+"""Share of the hover thrust below which a vehicle flown by thrust is believed to stay on the ground."""
+STICKS_LOST = {1: Mode.LOITER, 2: Mode.RTL, 3: Mode.LAND}
+"""NAV_RCL_ACT -> what is flown when the sticks that fly the vehicle are lost."""
 FALLBACK = {0: Mode.POSCTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.LOITER}
 """COM_OBL_RC_ACT -> what is flown when the OFFBOARD stream is lost and there are no sticks."""
 
@@ -44,13 +56,17 @@ class Commander:
         self._origin_altitude = origin.altitude
         self.battery = Battery(pack(p))
         self.stream = OffboardStream()
+        self.sticks = StickInput()
         self.news: list[str] = []
         self.plans = Plans()
         self.fence = FenceOfParameters(p, self.plans, origin)
         self.breach = Breach.NONE
         self.breaches = 0
         self._fence_due_ms = 0
-        self._fence_action: tuple[int, Mode] | None = None
+        self._pushes = False
+        """Whether a thrust given from outside wants to leave the ground."""
+        self._later: tuple[int, Mode] | None = None
+        """When a failsafe goes on from hold to another mode."""
         self._mission_changes = 0
         self._pilot = Pilot(
             self._body,
@@ -114,7 +130,9 @@ class Commander:
             return "Resolve system health failures first"
         if self.mode is Mode.OFFBOARD and not self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"]):
             return "Resolve system health failures first"
-        if self.mode in (Mode.RTL, Mode.LAND, Mode.POSCTL) or (self.mode is Mode.MISSION and not self.plans.flyable):
+        if self.mode in STICKS and self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"]):
+            return "high throttle" if self.sticks.now.throttle > self._p["MPC_HOLD_DZ"] else ""
+        if self.mode in (Mode.RTL, Mode.LAND, *STICKS) or (self.mode is Mode.MISSION and not self.plans.flyable):
             return "switch to another mode first"
         if self.battery.level >= 2:
             return "low battery"
@@ -165,8 +183,8 @@ class Commander:
         if mode is Mode.TAKEOFF:
             return self.takeoff(math.nan)
         if self.armed:
-            if mode is Mode.POSCTL:
-                self.say("Switching to mode 'Position' is currently not possible", CRITICAL)
+            if mode in STICKS and not self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"]):
+                self.say(f"Switching to mode '{STICKS[mode]}' is currently not possible", CRITICAL)
                 return Result.TEMPORARILY_REJECTED
             if mode is Mode.OFFBOARD and not self.stream.ready(self.now_ms, self._p["COM_OF_LOSS_T"]):
                 self.say("Switching to mode 'Offboard' is currently not possible", CRITICAL)
@@ -223,7 +241,21 @@ class Commander:
         except SetpointRefusedError as error:
             self.say(str(error), ERROR)
             return
-        self.stream.receive(understood, self.now_ms, self._p["COM_OF_LOSS_T"])
+        self.stream.receive(flown(understood), self.now_ms, self._p["COM_OF_LOSS_T"])
+
+    def receive_attitude(self, target: AttitudeTarget) -> None:
+        """OFFBOARD by attitude or body rates, and thrust."""
+        try:
+            setpoint = flown_attitude(target)
+        except SetpointRefusedError as error:
+            self.say(str(error), ERROR)
+            return
+        self.stream.receive(setpoint, self.now_ms, self._p["COM_OF_LOSS_T"])
+
+    def pilot(self, sticks: Sticks | None, radio: bool) -> None:
+        """Sticks of a source that COM_RC_IN_MODE allows."""
+        if sticks is not None and int(self._p["COM_RC_IN_MODE"]) in (RADIO_MODES if radio else JOYSTICK_MODES):
+            self.sticks.receive(sticks, self.now_ms)
 
     def set_home(self, position_ned: tuple[float, float, float]) -> None:
         """Another home."""
@@ -270,6 +302,8 @@ class Commander:
             self._watch_stream()
             self._watch_battery()
             self._watch_fence()
+            self._watch_sticks()
+            self._go_on()
             self._watch_ground()
             self._watch_mission()
         setpoint = self._setpoint(dt) if self.armed else NOTHING
@@ -277,6 +311,7 @@ class Commander:
             self._start_ramp()
         if self.flying:
             setpoint = self._in_ramp(setpoint)
+        self._pushes = setpoint.thrust > THRUST_ON_GROUND * self._p["MPC_THR_HOVER"]
         velocity = self._body.velocity
         self.battery.drain(float(velocity[0]), float(velocity[1]), float(velocity[2]), self.flying, dt)
         return setpoint
@@ -304,7 +339,7 @@ class Commander:
             self._mode_after_disarm = mode
         self.failsafe = ""
         self._battery_action = None
-        self._fence_action = None
+        self._later = None
         if mode is Mode.RTL:
             self.say("Returning to launch")
         elif mode is Mode.LAND:
@@ -326,13 +361,20 @@ class Commander:
             self._autonomous = Land(body, p, home[2])
         elif mode is Mode.RTL and self.armed:
             self._autonomous = Return(body, p, home, self._home_yaw, self._origin_altitude - home[2], self.say)
-        elif mode is Mode.POSCTL:
-            self._autonomous = Descend(body, p)
+        elif mode in STICKS:
+            self._autonomous = self._by_sticks(mode)
         elif mode is Mode.MISSION and self.armed:
             self._mission_changes = self.plans.mission_changes
             self._autonomous = MissionFlight(body, self.plans, manners(p), self._pilot)
         else:
             self._autonomous = Loiter(body, p)
+
+    def _by_sticks(self, mode: Mode) -> Autonomous:
+        """A mode flown by sticks; without them it sinks."""
+        if not self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"]):
+            return Descend(self._body, self._p)
+        kind = {Mode.POSCTL: PositionSticks, Mode.ALTCTL: AltitudeSticks}.get(mode, StabilizedSticks)
+        return kind(self._body, self._p, self.sticks)
 
     # Leaving and meeting the ground
 
@@ -344,6 +386,10 @@ class Commander:
             return True
         if isinstance(self._autonomous, MissionFlight):
             return self._autonomous.taking_off
+        if isinstance(self._autonomous, PositionSticks | AltitudeSticks):
+            return self._autonomous.climbs
+        if math.isfinite(setpoint.thrust):
+            return setpoint.thrust > THRUST_ON_GROUND * self._p["MPC_THR_HOVER"]
         if self.mode is not Mode.OFFBOARD:
             return False
         climb = -setpoint.velocity[2] if math.isfinite(setpoint.velocity[2]) else 0.0
@@ -386,7 +432,7 @@ class Commander:
                 self.landed = Landed.IN_AIR
         elif self.flying and self._ramp_ms is None and contact >= self._p["LNDMC_TRIG_TIME"]:
             wanted_down = float(self._controller.velocity_setpoint[2])
-            if not wanted_down < -0.05:
+            if not wanted_down < -0.05 and not self._pushes:
                 self.flying = False
                 self.landed = Landed.ON_GROUND
                 self._landed_ms = self.now_ms
@@ -411,7 +457,7 @@ class Commander:
         self.failsafe = ""
         self._ramp_ms = None
         self._battery_action = None
-        self._fence_action = None
+        self._later = None
         self.breach = Breach.NONE
         self.say(f"Disarmed by {why}")
         self.intended = self._mode_after_disarm
@@ -430,7 +476,7 @@ class Commander:
 
     def _watch_stream(self) -> None:
         alive = self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"])
-        if self.intended is not Mode.OFFBOARD or self.failsafe in ("battery", "fence"):
+        if self.intended is not Mode.OFFBOARD or self.failsafe not in ("", "offboard"):
             return
         if self.failsafe == "offboard":
             if alive:
@@ -441,12 +487,35 @@ class Commander:
             self.say("Failsafe activated", CRITICAL)
             self._enter(FALLBACK[int(self._p["COM_OBL_RC_ACT"])])
 
+    def _go_on(self) -> None:
+        """From the hold that a failsafe begins with to what it does then."""
+        if self._later is not None and self.now_ms >= self._later[0]:
+            _, then = self._later
+            self._later = None
+            self._enter(then)
+
+    def _watch_sticks(self) -> None:
+        """Sticks moved in a mode that flies by itself take over (COM_RC_OVERRIDE); sticks lost: NAV_RCL_ACT."""
+        p = self._p
+        alive = self.sticks.alive(self.now_ms, p["COM_RC_LOSS_T"])
+        if self.failsafe == "sticks" and alive:
+            self.say("Manual control regained")
+            self._take(self.intended)
+        elif alive and self.flying and self.mode not in STICKS and self.sticks.moved(p["COM_RC_STICK_OV"] / 100.0):
+            if int(p["COM_RC_OVERRIDE"]) & (2 if self.mode is Mode.OFFBOARD else 1):
+                self.say("Pilot took over using sticks")
+                self._take(Mode.POSCTL)
+        elif self.intended in STICKS and not self.failsafe and self.sticks.lost(self.now_ms, p["COM_RC_LOSS_T"]):
+            then = STICKS_LOST.get(int(p["NAV_RCL_ACT"]))
+            if then is not None and self.flying:
+                self.failsafe = "sticks"
+                self.say("Manual control lost", CRITICAL)
+                self.say("Failsafe activated", CRITICAL)
+                self._enter(Mode.LOITER)
+                self._later = (self.now_ms + int(p["COM_FAIL_ACT_T"] * 1000.0), then)
+
     def _watch_fence(self) -> None:
         """GF_ACTION when the fence is breached, once per breach; return and land wait COM_FAIL_ACT_T in hold."""
-        if self._fence_action is not None and self.now_ms >= self._fence_action[0]:
-            _, then = self._fence_action
-            self._fence_action = None
-            self._enter(then)
         if self.now_ms < self._fence_due_ms or self.home is None:
             return
         self._fence_due_ms = self.now_ms + CHECK_MS
@@ -464,7 +533,7 @@ class Commander:
             self.failsafe = "fence"
             self.say("Failsafe activated", CRITICAL)
             if action >= RETURN:
-                self._fence_action = (self.now_ms + int(self._p["COM_FAIL_ACT_T"] * 1000.0), FLOWN[action])
+                self._later = (self.now_ms + int(self._p["COM_FAIL_ACT_T"] * 1000.0), FLOWN[action])
             self._enter(Mode.LOITER)
 
     def _watch_battery(self) -> None:

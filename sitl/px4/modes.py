@@ -6,7 +6,9 @@ from enum import Enum
 class Mode(Enum):
     """Flight modes by PX4's name; values are (main mode, sub mode) of `custom_mode`."""
 
+    ALTCTL = (2, 0)
     POSCTL = (3, 0)
+    STABILIZED = (7, 0)
     TAKEOFF = (4, 2)
     LOITER = (4, 3)
     MISSION = (4, 4)
@@ -15,11 +17,15 @@ class Mode(Enum):
     OFFBOARD = (6, 0)
 
 
-STICK_MAIN_MODES = (1, 2, 5, 7, 8)
-"""Main modes that need a pilot's sticks: MANUAL, ALTCTL, ACRO, STABILIZED, RATTITUDE."""
+STICKS = {Mode.ALTCTL: "Altitude", Mode.POSCTL: "Position", Mode.STABILIZED: "Stabilized"}
+"""Modes that need a pilot's sticks, as PX4's texts call them."""
+STICK_MAIN_MODES = (1, 5, 8)
+"""Main modes that need them too, and are not flown here: MANUAL, ACRO, RATTITUDE."""
 
 BASE_MODE = {
+    Mode.ALTCTL: 0x51,
     Mode.POSCTL: 0x51,
+    Mode.STABILIZED: 0x51,
     Mode.TAKEOFF: 0x1D,
     Mode.LOITER: 0x1D,
     Mode.MISSION: 0x1D,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from sitl.control import Setpoint
 from sitl.reference import Vec3
-from sitl.targets import PositionTarget
+from sitl.targets import AttitudeTarget, PositionTarget
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
@@ -14,6 +14,12 @@ FRAME_BODY_NED = 8
 IGNORE_YAW = 1024
 IGNORE_YAW_RATE = 2048
 FORCE = 512
+
+# ATTITUDE_TARGET_TYPEMASK
+IGNORE_RATES = 7
+IGNORE_BODY_YAW_RATE = 4
+IGNORE_THRUST = 64
+IGNORE_ATTITUDE = 128
 
 SETTLE_MS = 40
 """A setpoint stream must be this old before OFFBOARD may be entered."""
@@ -60,9 +66,9 @@ def read_target(asked: PositionTarget, heading: float) -> Target:
     frame, mask = asked.frame, asked.mask
     position, velocity, acceleration = asked.position, asked.velocity, asked.acceleration
     if frame not in (FRAME_LOCAL_NED, FRAME_BODY_NED):
-        raise SetpointRefusedError(f"SET_POSITION_TARGET_LOCAL_NED coordinate frame {frame} unsupported")
+        raise SetpointRefusedError(f"{asked.message} coordinate frame {frame} unsupported")
     if mask & FORCE:
-        raise SetpointRefusedError("SET_POSITION_TARGET_LOCAL_NED force not supported")
+        raise SetpointRefusedError(f"{asked.message} force not supported")
     infinite = any(
         math.isinf(value) and not mask >> bit & 1 for bit, value in enumerate((*position, *velocity, *acceleration))
     )
@@ -72,7 +78,7 @@ def read_target(asked: PositionTarget, heading: float) -> Target:
         masked(acceleration, mask, 6),
     )
     if not infinite and all(math.isnan(value) for value in (*position, *velocity, *acceleration)):
-        raise SetpointRefusedError("SET_POSITION_TARGET_LOCAL_NED invalid")
+        raise SetpointRefusedError(f"{asked.message} invalid")
     if frame == FRAME_BODY_NED:
         position = NAN3
         velocity = rotated(velocity, heading)
@@ -98,6 +104,28 @@ def flown(target: Target) -> Setpoint:
     return Setpoint(target.position, target.velocity, target.acceleration, target.yaw, target.yaw_rate)
 
 
+def flown_attitude(asked: AttitudeTarget) -> Setpoint:
+    """The setpoint flown for a SET_ATTITUDE_TARGET: an attitude if there is one, or else body rates, with a thrust.
+
+    Raises SetpointRefusedError when either is missing or not finite, or the quaternion has no length.
+    """
+    norm = math.sqrt(sum(value * value for value in asked.attitude))
+    with_attitude = not asked.mask & IGNORE_ATTITUDE
+    refused = SetpointRefusedError("SET_ATTITUDE_TARGET invalid")
+    if asked.mask & IGNORE_THRUST or not math.isfinite(asked.thrust):
+        raise refused
+    thrust = min(max(asked.thrust, 0.0), 1.0)
+    if with_attitude:
+        if not (math.isfinite(norm) and norm > 0.1):
+            raise refused
+        w, x, y, z = (value / norm for value in asked.attitude)
+        yaw_rate = NAN if asked.mask & IGNORE_BODY_YAW_RATE or not math.isfinite(asked.rates[2]) else asked.rates[2]
+        return Setpoint(NAN3, NAN3, NAN3, NAN, yaw_rate, thrust=thrust, attitude=(w, x, y, z))
+    if asked.mask & IGNORE_RATES or not all(math.isfinite(rate) for rate in asked.rates):
+        raise refused
+    return Setpoint(NAN3, NAN3, NAN3, NAN, NAN, thrust=thrust, rates=asked.rates)
+
+
 class OffboardStream:
     """The latest setpoint and how alive the stream is, on vehicle time."""
 
@@ -106,11 +134,11 @@ class OffboardStream:
         self._first_ms = 0
         self._last_ms = 0
 
-    def receive(self, target: Target, now_ms: int, loss_s: float) -> None:
-        """A valid setpoint came; after a silence a new stream begins with it."""
+    def receive(self, setpoint: Setpoint, now_ms: int, loss_s: float) -> None:
+        """What is flown for a setpoint that came; after a silence a new stream begins with it."""
         if self.setpoint is None or not self.alive(now_ms, loss_s):
             self._first_ms = now_ms
-        self.setpoint = flown(target)
+        self.setpoint = setpoint
         self._last_ms = now_ms
 
     def alive(self, now_ms: int, loss_s: float) -> bool:
