@@ -43,17 +43,17 @@ class Link:
         name: str,
         rates_hz: Mapping[str, float],
         system: int,
+        signing: Signing,
         put: Callable[[bytes], bool],
         *,
         talks_first: bool = True,
-        signing: Signing | None = None,
         now_ms: int = 0,
     ) -> None:
         """A link that does not talk first sends only heartbeats until somebody speaks on it."""
         self.name = name
         self.system = system
-        self.signing = signing or Signing()
-        self.number = self.signing.new_link_id()
+        self.signing = signing
+        self.number = signing.new_link_id()
         """The link id of its signatures."""
         self.heard = False
         """Whether somebody speaks on this link."""

@@ -36,12 +36,12 @@ class Port(Protocol):
 
 
 class Network:
-    """The ports of a vehicle."""
+    """The ports of a vehicle; `signing` is that of their links."""
 
-    def __init__(self, ports: Sequence[Port], system: int, signing: Signing | None = None) -> None:
+    def __init__(self, ports: Sequence[Port], system: int, signing: Signing) -> None:
         self._ports = ports
         self._system = system
-        self._signing = signing or Signing()
+        self._signing = signing
         self._routes: dict[Link, set[tuple[int, int]]] = {}
 
     @property

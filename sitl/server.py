@@ -99,7 +99,7 @@ class Instance:
         def new_link(name: str, put: Callable[[bytes], bool], now_ms: int) -> Link:
             gcs = name == "gcs"
             rates_hz = personality.gcs_rates_hz if gcs else personality.companion_rates_hz
-            return Link(name, rates_hz, self.system, put, talks_first=not gcs, signing=signing, now_ms=now_ms)
+            return Link(name, rates_hz, self.system, signing, put, talks_first=not gcs, now_ms=now_ms)
 
         def offset(port: int, stride: int = 1) -> int:
             return port and port + index * stride

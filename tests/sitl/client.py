@@ -6,18 +6,20 @@ for a process to start.
 
 import math
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-from pymavlink.dialects.v20 import development as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.autopilot import Autopilot
 from sitl.link import Link
 from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
+from sitl.personality import Personality
 from sitl.px4.personality import PX4
-from sitl.px4.streams import COMPANION_RATES_HZ, GCS_RATES_HZ
+from sitl.px4.streams import COMPANION_RATES_HZ
+from sitl.signing import Signing
 from sitl.udp import UdpPort
 from tests.sitl.process import SitlProcess, free_udp_port
 
@@ -195,20 +197,29 @@ SLOW_RATES_HZ = {name: min(rate, 10.0) for name, rate in COMPANION_RATES_HZ.item
 class Direct(Client):
     """Flies an autopilot in this process, over its real UDP links."""
 
-    def __init__(self, rates_hz: dict[str, float] = SLOW_RATES_HZ, seed: int = 0, **parameters: float) -> None:
-        p = Parameters(PX4.table)
+    def __init__(
+        self,
+        rates_hz: Mapping[str, float] = SLOW_RATES_HZ,
+        seed: int = 0,
+        personality: Personality = PX4,
+        **parameters: float,
+    ) -> None:
+        p = Parameters(personality.table)
         for name, value in parameters.items():
             p.set(name, value)
         port = free_udp_port()
-        companion = UdpPort("companion", 0, port, lambda put, ms: Link("companion", rates_hz, 1, put, now_ms=ms))
+        signing = Signing()
+        companion = UdpPort(
+            "companion", 0, port, lambda put, ms: Link("companion", rates_hz, 1, signing, put, now_ms=ms)
+        )
         self.gcs = UdpPort(
             "gcs",
             0,
             free_udp_port(),
-            lambda put, ms: Link("gcs", GCS_RATES_HZ, 1, put, talks_first=False, now_ms=ms),
+            lambda put, ms: Link("gcs", personality.gcs_rates_hz, 1, signing, put, talks_first=False, now_ms=ms),
         )
         self.link = companion.configured
-        self.autopilot = Autopilot(PX4, p, Origin(), Network((companion, self.gcs), 1), seed, 0)
+        self.autopilot = Autopilot(personality, p, Origin(), Network((companion, self.gcs), 1, signing), seed, 0)
         super().__init__(port, companion.port)
 
     def close(self) -> None:

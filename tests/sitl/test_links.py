@@ -21,6 +21,7 @@ from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.px4.personality import PX4
 from sitl.server import Options, Server
+from sitl.signing import Signing
 from sitl.tcp import UNSENT_MAX, TcpPort
 from sitl.udp import PEERS_MAX, UdpPort
 from tests.sitl.client import Direct, lockstep
@@ -120,7 +121,7 @@ def test_a_served_port_stays_taken(vehicle: Direct):
         with pytest.raises(OSError, match="in use"):
             second.bind(vehicle.to)
     with pytest.raises(PortError, match=f"gcs link: UDP port 127.0.0.1:{vehicle.to[1]} cannot be bound"):
-        UdpPort("gcs", vehicle.to[1], 1, lambda put, _: Link("gcs", {}, 1, put))
+        UdpPort("gcs", vehicle.to[1], 1, lambda put, _: Link("gcs", {}, 1, Signing(), put))
 
 
 # Routing: mavlink.io "Routing"; AUTOPILOT.md 2: "PX4 forwards each peer's frames to the other link"
@@ -197,8 +198,10 @@ class TcpVehicle:
     """An autopilot with one TCP port and a client on it."""
 
     def __init__(self) -> None:
-        self.port = TcpPort("tcp", 0, lambda put, ms: Link("tcp", {"HEARTBEAT": 1.0, "ATTITUDE": 50.0}, 1, put))
-        self.autopilot = Autopilot(PX4, Parameters(PX4.table), Origin(), Network((self.port,), 1), 0, 0)
+        signing = Signing()
+        rates_hz = {"HEARTBEAT": 1.0, "ATTITUDE": 50.0}
+        self.port = TcpPort("tcp", 0, lambda put, ms: Link("tcp", rates_hz, 1, signing, put, now_ms=ms))
+        self.autopilot = Autopilot(PX4, Parameters(PX4.table), Origin(), Network((self.port,), 1, signing), 0, 0)
 
     def connect(self) -> "TcpClient":
         return TcpClient(self)
@@ -363,6 +366,7 @@ def test_a_flood_does_not_end_offboard_in_lockstep(hovering: Direct, kind: str, 
     assert hovering.velocity[0] == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.timeout(120)
 def test_a_flood_does_not_end_offboard_when_paced():
     """The same with the server's own pacing, on a wall clock of the test's; a tick every 10 ms."""
     now = itertools.count()
@@ -412,6 +416,7 @@ def test_a_flood_does_not_end_offboard_when_paced():
             server.close()
 
 
+@pytest.mark.timeout(120)
 def test_a_real_flood_does_not_end_offboard():
     """As fast as another process can send, without pause; the client's setpoints are on time in vehicle time."""
     code = (
