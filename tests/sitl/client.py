@@ -114,9 +114,10 @@ class Client:
     def texts(self) -> list[str]:
         """STATUSTEXTs so far, chunks joined, PX4's tab removed."""
         whole: dict[int, str] = {}
-        for message in self.messages:
+        for position, message in enumerate(self.messages):
             if message.get_type() == "STATUSTEXT":
-                whole[message.id] = whole.get(message.id, "") + message.text
+                number = message.id or -position  # without an id it stands alone
+                whole[number] = whole.get(number, "") + message.text
         return [text.rstrip("\t") for text in whole.values()]
 
     @property
