@@ -27,10 +27,10 @@ from sitl.px4.sticks import (
     AltitudeSticks,
     PositionSticks,
     StabilizedSticks,
-    StickInput,
 )
 from sitl.px4.vehicle_setup import pack
 from sitl.reference import Reference, stopping_point, vector
+from sitl.stick_input import StickInput
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 
 BOOT = Timeline(telemetry_ms=500, heartbeat_ms=1000, position_ms=2000, home_ms=2400, armable_ms=4000)
@@ -373,7 +373,9 @@ class Commander:
         """A mode flown by sticks; without them it sinks."""
         if not self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"]):
             return Descend(self._body, self._p)
-        kind = {Mode.POSCTL: PositionSticks, Mode.ALTCTL: AltitudeSticks}.get(mode, StabilizedSticks)
+        if mode is Mode.POSCTL:
+            return PositionSticks(self._body, self._p, self.sticks)
+        kind = AltitudeSticks if mode is Mode.ALTCTL else StabilizedSticks
         return kind(self._body, self._p, self.sticks)
 
     # Leaving and meeting the ground

@@ -7,51 +7,18 @@ from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, Body, heading
 from sitl.px4.autonomy import limits
 from sitl.reference import Limits, Reference, Vec3, follow, vector
-from sitl.targets import Sticks
+from sitl.stick_input import StickInput, deadzone, quaternion
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
-CENTRED = Sticks(0.0, 0.0, 0.0, 0.0)
-JOYSTICK_MODES = (1, 2, 3)
-RADIO_MODES = (0, 2, 3)
+JOYSTICK_MODES, RADIO_MODES = (1, 2, 3), (0, 2, 3)
 """COM_RC_IN_MODE: 0 radio only, 1 joystick only, 2 and 3 either, 4 none."""
-
-
-def deadzone(value: float, width: float) -> float:
-    """A stick axis with a dead middle of +-width, full deflection kept."""
-    if abs(value) <= width:
-        return 0.0
-    return math.copysign((abs(value) - width) / (1.0 - width), value)
 
 
 def expo(value: float, share: float, width: float) -> float:
     """Stick axis with a dead middle and a cubic share (math::expo_deadzone)."""
     x = deadzone(value, width)
     return (1.0 - share) * x + share * x**3
-
-
-class StickInput:
-    """The sticks that came last, and whether they are still there (COM_RC_LOSS_T)."""
-
-    def __init__(self) -> None:
-        self.now = CENTRED
-        self._before = CENTRED
-        self._heard_ms: int | None = None
-
-    def receive(self, sticks: Sticks, now_ms: int) -> None:
-        self._before, self.now = self.now, sticks
-        self._heard_ms = now_ms
-
-    def alive(self, now_ms: int, loss_s: float) -> bool:
-        return self._heard_ms is not None and now_ms - self._heard_ms < loss_s * 1000.0
-
-    def lost(self, now_ms: int, loss_s: float) -> bool:
-        """Whether there were sticks and are none now."""
-        return self._heard_ms is not None and not self.alive(now_ms, loss_s)
-
-    def moved(self, threshold: float) -> bool:
-        """Whether the pilot pushes roll, pitch or yaw beyond a share of full deflection (COM_RC_STICK_OV)."""
-        return max(abs(self.now.forward), abs(self.now.right), abs(self.now.yaw)) > threshold
 
 
 class _Stick:
@@ -164,16 +131,3 @@ class StabilizedSticks(_Stick):
         tilt = math.radians(p["MPC_MAN_TILT_MAX"])
         attitude = quaternion(tilt * now.right, -tilt * now.forward, self._yaw)
         return Setpoint(NAN3, NAN3, NAN3, NAN, yaw_rate, thrust=thrust, attitude=attitude)
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Body to NED from Euler angles [rad], w first."""
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
