@@ -24,7 +24,18 @@ from sitl.plan import (
     Item,
     Plans,
 )
-from sitl.reference import ERROR_MAX_M, Limits, Reference, Vec3, follow, lead, speed_for_distance, turned, vector
+from sitl.reference import (
+    ERROR_MAX_M,
+    Limits,
+    Reference,
+    Vec3,
+    follow,
+    lead,
+    speed_for_distance,
+    stopping_point,
+    turned,
+    vector,
+)
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
@@ -176,6 +187,7 @@ class MissionFlight:
         self._climb: Climb | None = None
         self._phase = "fly"
         """climb, fly, land, or what the personality flies home with: return."""
+        self._paused = False
         self._leg: Leg = self._stay(body)
         if pilot.on_ground and not self._is(TAKEOFF) and math.isfinite(manners.first_height):
             self._start_climb(NAN)
@@ -208,11 +220,23 @@ class MissionFlight:
         if isinstance(self._leg, Fly):
             self._leg.set_speed(speed)
 
+    def pause(self, hold: bool, body: Body) -> None:
+        """Brake and hold, or go on with the current item."""
+        if hold and not self._paused:
+            here = stopping_point(self._reference(body), self._manners.limits)
+            self._leg = Fly(self._reference(body), here, self._yaw(body), self._manners, self._yaw(body))
+        elif not hold and self._paused:
+            self._begin(body)
+        self._paused = hold
+
     # Ticks
 
     def step(self, body: Body, dt: float) -> Setpoint:
         if self._seq != self._plans.current:  # the ground has chosen another item
+            self._paused = False
             self._begin(body)
+        if self._paused:
+            return self._leg.step(body, dt)
         spent = dt  # time is held against one item only
         for _ in range(ORDERS_PER_TICK):
             if self._plans.finished or not self._done(body, spent):

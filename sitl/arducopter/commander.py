@@ -11,6 +11,7 @@ from sitl.arducopter.autonomy import Destination, Land, Level, Return, Takeoff, 
 from sitl.arducopter.guided import Order, understood
 from sitl.arducopter.missions import Pilot, manners
 from sitl.arducopter.modes import ARMABLE, Mode, base_mode, mode_of
+from sitl.arducopter.sticks import Attitude, LeanSticks, LoiterSticks, attitude_setpoint
 from sitl.arducopter.vehicle_setup import pack, shape
 from sitl.battery import Battery
 from sitl.control import Setpoint
@@ -21,10 +22,11 @@ from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import CRITICAL, INFO, WARNING, Landed, Result, State
 from sitl.physics import heading
-from sitl.plan import Plans
+from sitl.plan import PLACES, TAKEOFF, Plans
 from sitl.reference import Vec3, vector
+from sitl.stick_input import StickInput
+from sitl.targets import AttitudeTarget, PositionTarget, Sticks
 from sitl.targets import Destination as Goal
-from sitl.targets import PositionTarget
 
 LIFT_OFF_MS = 1350
 """From a takeoff until the motors carry: spool-up and TKOFF_SLEW_TIME, as recorded."""
@@ -34,8 +36,14 @@ DISARM_LANDED_MS = 440
 """From a landing in RTL or LAND until the motors stop, as recorded."""
 FENCE_CHECK_MS = 200
 NOTICE = 5
+RAISED = -0.9
+"""Throttle stick that is not at its bottom."""
 
-Leg = Velocity | Level | Takeoff | Destination | Land | Return | MissionFlight
+ALLOW_ARMING, ALLOW_TAKEOFF = 1, 2
+"""AUTO_OPTIONS: AUTO may be armed in, and takes off without the throttle being raised."""
+
+ByPilot = Attitude | LoiterSticks | LeanSticks
+Leg = Velocity | Level | Takeoff | Destination | Land | Return | MissionFlight | ByPilot
 
 
 class Commander:
@@ -70,6 +78,9 @@ class Commander:
         self._leg: Leg = Velocity(self._body, p)
         self._told_ms = 0
         """Until when the texts of the boot have been said."""
+        self.sticks = StickInput()
+        self._auto_armed = False
+        """Whether AUTO may leave the ground: by MISSION_START, a raised throttle, or once flown."""
         self._mission_changes = 0
         self._idle_ms = 0
         """Since when the vehicle stands armed with nothing to do."""
@@ -114,7 +125,8 @@ class Commander:
                 return ("Vehicle breaching Fence",)
         elif self.now_ms < arming.READY_MS:
             return ("System not initialised",)
-        if self.mode not in ARMABLE and not (self.mode is Mode.AUTO and self.plans.flyable):
+        in_auto = self.mode is Mode.AUTO and int(self._p["AUTO_OPTIONS"]) & ALLOW_ARMING
+        if self.mode not in ARMABLE and not in_auto:
             return (f"{self.mode.name} mode not armable",)
         return ()
 
@@ -147,7 +159,10 @@ class Commander:
         return self._choose(Mode.RTL)
 
     def start_mission(self) -> Result:
-        return self._choose(Mode.AUTO)
+        """MISSION_START: AUTO, which takes off if armed."""
+        taken = self._choose(Mode.AUTO)
+        self._auto_armed = self._auto_armed or (taken is Result.ACCEPTED and self.armed)
+        return taken
 
     def set_mode(self, custom_mode: int) -> Result:
         """FAILED for a number that is no mode, and for AUTO without a mission."""
@@ -161,10 +176,34 @@ class Commander:
         if mode is Mode.AUTO and not self.plans.flyable:
             self.say("Mode change to AUTO failed: init failed", WARNING)
             return Result.FAILED
+        if mode is Mode.AUTO and self.armed and not self.flying and not self._begins_with_takeoff():
+            self.say("Auto: Missing Takeoff Cmd", CRITICAL)
+            return Result.FAILED
         self.failsafe = ""
         if mode is not self.mode:
             self._enter(mode)
         return Result.ACCEPTED
+
+    def _begins_with_takeoff(self) -> bool:
+        """Whether the first place of the mission is a takeoff."""
+        places = [item.command for item in self.plans.mission[self.plans.current :] if item.command in PLACES]
+        return places[:1] == [TAKEOFF]
+
+    def receive_attitude(self, target: AttitudeTarget) -> None:
+        """SET_ATTITUDE_TARGET for GUIDED."""
+        setpoint = attitude_setpoint(target, self._p)
+        if self.mode is Mode.GUIDED and setpoint is not None:
+            self._order_ms = self.now_ms
+            self._takeoff_ms = None
+            self.order = None
+            self._leg = Attitude(setpoint)
+
+    def pilot(self, sticks: Sticks | None, radio: bool) -> None:
+        """Sticks of any source; without them those of the simulated radio stand in the middle."""
+        if sticks is None:
+            self.sticks.give_back()
+        else:
+            self.sticks.receive(sticks, self.now_ms)
 
     def receive(self, target: PositionTarget) -> None:
         """A setpoint for GUIDED; what means nothing stops the vehicle. It ends a takeoff, and starts none."""
@@ -213,12 +252,11 @@ class Commander:
         return Result.ACCEPTED
 
     def pause(self, hold: bool) -> Result:
-        """DO_PAUSE_CONTINUE: AUTO brakes, and goes on."""
-        if self.mode is Mode.AUTO and hold:
-            return self._choose(Mode.BRAKE)
-        if self.mode is Mode.BRAKE and not hold:
-            return self._choose(Mode.AUTO)
-        return Result.FAILED
+        """DO_PAUSE_CONTINUE: AUTO stays AUTO and brakes, and goes on."""
+        if not isinstance(self._leg, MissionFlight):
+            return Result.FAILED
+        self._leg.pause(hold, self._body)
+        return Result.ACCEPTED
 
     def enable_fence(self, on: bool) -> Result:
         self._p.set("FENCE_ENABLE", float(on))
@@ -287,6 +325,7 @@ class Commander:
             self._watch_battery()
             self._watch_fence()
             self._watch_mission()
+            self._watch_sticks()
             self._watch_ground()
         setpoint = NOTHING
         if self.armed:
@@ -346,6 +385,7 @@ class Commander:
 
     def _stop(self) -> None:
         self.armed = False
+        self._auto_armed = False
         self.flying = False
         self.landed = Landed.ON_GROUND
         self.failsafe = ""
@@ -365,13 +405,18 @@ class Commander:
         contact = float(self._body.contact_s[0])
         if not self.flying:
             self._watch_idle()
-            if self._taking_off() and self._takeoff_ms is not None:
+            if isinstance(self._leg, ByPilot) and self._leg.climbs:
+                self.flying = True
+                self._body.contact_s[0] = 0.0
+            if self._mode_waits():
+                self._takeoff_ms = self.now_ms
+            elif self._taking_off() and self._takeoff_ms is not None:
                 self._idle_ms = self.now_ms
                 if self.now_ms - self._takeoff_ms >= LIFT_OFF_MS:
                     self._takeoff_ms = None
                     self.flying = True
                     self._body.contact_s[0] = 0.0
-        elif contact >= LANDED_S and not float(self._controller.velocity_setpoint[2]) < -0.05:
+        elif contact >= LANDED_S and not self._wants_up():
             self.flying = False
             self.landed = Landed.ON_GROUND
             self._idle_ms = self.now_ms
@@ -380,6 +425,15 @@ class Commander:
         else:
             self.landed = Landed.LANDING if self._leg.landing else Landed.IN_AIR
         self.has_flown = self.has_flown or (self.flying and contact == 0.0)
+
+    def _mode_waits(self) -> bool:
+        """Whether AUTO stands on the ground until MISSION_START or a raised throttle."""
+        return self.mode is Mode.AUTO and not self._auto_armed
+
+    def _wants_up(self) -> bool:
+        if isinstance(self._leg, ByPilot):
+            return self._leg.climbs
+        return float(self._controller.velocity_setpoint[2]) < -0.05
 
     def _watch_idle(self) -> None:
         """Stop the motors soon after a landing in RTL or LAND, else after DISARM_DELAY."""
@@ -428,6 +482,23 @@ class Commander:
         if self.mode is Mode.AUTO and self.plans.mission_changes != self._mission_changes:
             self._mission_changes = self.plans.mission_changes
             self._enter(Mode.AUTO if self.plans.flyable else Mode.LOITER)
+
+    def _watch_sticks(self) -> None:
+        """Modes for sticks are flown by them while they are there (RC_OVERRIDE_TIME); AUTO waits for the throttle."""
+        there = self.sticks.alive(self.now_ms, self._p["RC_OVERRIDE_TIME"])
+        raised = there and self.sticks.now.throttle > RAISED
+        if raised or self.flying or int(self._p["AUTO_OPTIONS"]) & ALLOW_TAKEOFF:
+            self._auto_armed = True
+        if isinstance(self._leg, Attitude) and self.now_ms - self._order_ms > self._p["GUID_TIMEOUT"] * 1000.0:
+            self._leg = Velocity(self._body, self._p)
+        by_sticks = isinstance(self._leg, LoiterSticks | LeanSticks)
+        if there and not by_sticks and self.mode in (Mode.LOITER, Mode.POSHOLD):
+            self._leg = LoiterSticks(self._body, self._p, self.sticks)
+        elif there and not by_sticks and self.mode in (Mode.ALT_HOLD, Mode.STABILIZE):
+            self._leg = LeanSticks(self._body, self._p, self.sticks, by_thrust=self.mode is Mode.STABILIZE)
+        elif by_sticks and not there:
+            self.sticks.give_back()
+            self._enter(self.mode)
 
     def _watch_battery(self) -> None:
         """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT: 1 lands, 2 to 4 return, 5 stops the motors."""

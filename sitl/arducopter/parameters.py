@@ -181,6 +181,7 @@ TABLE = (
     Parameter("RCMAP_ROLL", 1, *INT8_ANY, INT8),
     Parameter("RCMAP_THROTTLE", 3, *INT8_ANY, INT8),
     Parameter("RCMAP_YAW", 4, *INT8_ANY, INT8),
+    Parameter("RC_OVERRIDE_TIME", 3.0, 0, 120, REAL32),
     Parameter("RTL_ALT", 1500, 30, 300000, INT32),
     Parameter("RTL_ALT_FINAL", 0, 0, 1000, INT16),
     Parameter("RTL_CLIMB_MIN", 0, 0, 3000, INT16),
