@@ -459,7 +459,8 @@ class Commander:
         limits = shape(self._p)
         place = vector(self._body.position)
         margin, gain = self._p["FENCE_MARGIN"], self._p["PSC_POSXY_P"]
-        return bent(velocity, place, self._ground(), now, margin, gain, limits.acceleration_xy)
+        braking = 0.5 * limits.acceleration_xy  # the other half is kept for what the jerk limit takes
+        return bent(velocity, place, self._ground(), now, margin, gain, braking)
 
     def _watch_fence(self) -> None:
         if self.now_ms < self._fence_due_ms:
