@@ -19,7 +19,7 @@ class Pacer:
         now = self._clock()
         if self._due - now > self._period:
             self._due = now + self._period
-        return max(self._due - now, 0.0)
+        return min(max(self._due - now, 0.0), self._period)
 
     def ticked(self) -> None:
         """A tick was done; what a slow machine or a clock that leapt ahead left undone is forgotten."""

@@ -160,6 +160,9 @@ def test_listens_on_loopback_only_and_ends_by_sigint():
         (["--home", "47,8"], ["--home", "47,8", "LAT,LON,ALT"]),
         (["--home", "99,8,0"], ["--home", "-85 to 85"]),
         (["--system-id", "0"], ["--system-id"]),
+        (["--system-id", "249", "--vehicles", "3"], ["--vehicles", "3 vehicles", "249", "250"]),
+        (["--vehicles", "0"], ["--vehicles"]),
+        (["--signing-key", "/nowhere/key"], ["--signing-key", "/nowhere/key", "cannot be read"]),
     ],
 )
 def test_bad_options_are_refused(arguments, words):
