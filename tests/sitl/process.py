@@ -59,7 +59,9 @@ def sitl_process(
             match = re.fullmatch(r"(companion|gcs|tcp|control) 127\.0\.0\.1:(\d+).*\n", line)
             assert match, f"the SITL did not start: {line!r}"
             ports[match[1]] = int(match[2])
-        yield SitlProcess(companion, ports["companion"], gcs, ports["gcs"], ports["control"], ports.get("tcp", 0), process)
+        yield SitlProcess(
+            companion, ports["companion"], gcs, ports["gcs"], ports["control"], ports.get("tcp", 0), process
+        )
     finally:
         process.terminate()
         try:
