@@ -13,7 +13,7 @@ from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
-from sitl.services import clock, commands, files, logs, missions, parameters, setpoints, signing, sticks, streams
+from sitl.services import clock, commands, files, globe, logs, missions, parameters, setpoints, signing, sticks, streams
 from sitl.telemetry import TEXT_CHUNK, statustexts
 from sitl.vehicle import Vehicle
 
@@ -27,6 +27,7 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
     "SET_POSITION_TARGET_LOCAL_NED": setpoints.set_position_target_local_ned,
     "SET_POSITION_TARGET_GLOBAL_INT": setpoints.set_position_target_global_int,
     "SET_ATTITUDE_TARGET": setpoints.set_attitude_target,
+    "SET_GPS_GLOBAL_ORIGIN": globe.set_gps_global_origin,
     "MANUAL_CONTROL": sticks.manual_control,
     "RC_CHANNELS_OVERRIDE": sticks.rc_channels_override,
     "REQUEST_DATA_STREAM": streams.request_data_stream,

@@ -89,6 +89,10 @@ def layout(name: str) -> Layout:
     return _layout(_kinds()[name])
 
 
+WITHOUT_LAYOUT = {300: "PROTOCOL_VERSION"}
+"""Messages of common.xml that pymavlink's dialects have dropped, and clients still ask for."""
+
+
 @cache
 def layout_of(message_id: int) -> Layout | None:
     """Layout of a message by its id; None when the dialect does not know it."""
@@ -99,7 +103,7 @@ def layout_of(message_id: int) -> Layout | None:
 def name_of(message_id: int) -> str | None:
     """Message name of an id, None when the dialect does not know it."""
     kind = mavlink.mavlink_map.get(message_id)
-    return None if kind is None else str(kind.msgname)
+    return WITHOUT_LAYOUT.get(message_id) if kind is None else str(kind.msgname)
 
 
 class Payload(NamedTuple):

@@ -214,6 +214,16 @@ class Missions:
 
 
 @dataclass(frozen=True)
+class FlightMode:
+    """A mode as AVAILABLE_MODES tells of it."""
+
+    custom_mode: int
+    name: str
+    standard: int = 0
+    """MAV_STANDARD_MODE."""
+
+
+@dataclass(frozen=True)
 class Personality:
     """An autopilot's outside."""
 
@@ -225,6 +235,7 @@ class Personality:
     timeline: Timeline
     answers: Answers
     missions: Missions
+    modes: tuple[FlightMode, ...]
     companion_rates_hz: Mapping[str, float]
     gcs_rates_hz: Mapping[str, float]
     tcp_port: int | None

@@ -4,12 +4,13 @@ A function returns None while the vehicle does not know yet (no position, no hom
 """
 
 import math
+import struct
 from collections.abc import Callable
 
 import numpy as np
 
 from sitl.frames import Payload, pack
-from sitl.physics import heading
+from sitl.physics import GRAVITY, heading
 from sitl.reference import vector
 from sitl.vehicle import Vehicle
 
@@ -392,6 +393,40 @@ def autopilot_version(v: Vehicle) -> Payload:
     )
 
 
+def protocol_version(_: Vehicle) -> Payload:
+    """MAVLink 2.0, spoken from 1.0 on; laid out here, since pymavlink no longer knows it."""
+    return Payload(300, bytes((217,)), struct.pack("<HHH", 200, 100, 200))
+
+
+def hil_state_quaternion(v: Vehicle) -> Payload:
+    """The true state, without any sensor's or estimator's error."""
+    x, y, z = v.position()
+    vx, vy, vz = (int16(speed * 100.0) for speed in vector(v.body.velocity))
+    p, q, r = vector(v.body.rates)
+    ax, ay, az = (int16(force / GRAVITY * 1000.0) for force in vector(v.body.specific_force))
+    latitude, longitude = v.origin.globe(x, y)
+    airspeed = min(round(float(np.linalg.norm(v.body.velocity)) * 100.0), 65535)
+    return pack(
+        "HIL_STATE_QUATERNION",
+        time_usec=v.now_ms * 1000,
+        attitude_quaternion=v.body.attitude.tolist(),
+        rollspeed=p,
+        pitchspeed=q,
+        yawspeed=r,
+        lat=round(latitude * 1e7),
+        lon=round(longitude * 1e7),
+        alt=round((v.origin.altitude - z) * 1000.0),
+        vx=vx,
+        vy=vy,
+        vz=vz,
+        ind_airspeed=airspeed,
+        true_airspeed=airspeed,
+        xacc=ax,
+        yacc=ay,
+        zacc=az,
+    )
+
+
 def mission_current(v: Vehicle) -> Payload:
     """mission_state: 2 not begun, 3 flown, 4 paused, 5 done; mission_mode: 1 in mission mode, 2 in another."""
     plans = v.commander.plans
@@ -428,6 +463,8 @@ MESSAGES: dict[str, Callable[[Vehicle], Payload | None]] = {
         gps_global_origin,
         autopilot_version,
         mission_current,
+        protocol_version,
+        hil_state_quaternion,
     )
 }
 """What every personality can send, by message name."""

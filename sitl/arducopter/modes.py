@@ -23,6 +23,10 @@ ARMABLE = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.GUIDED, Mode.LOITER, Mo
 """Modes in which a ground station may arm (AUTO only with a mission)."""
 
 
+STANDARD = {Mode.ALT_HOLD: 4, Mode.AUTO: 6, Mode.LOITER: 1, Mode.RTL: 5, Mode.LAND: 7}
+"""MAV_STANDARD_MODE of the modes that are one."""
+
+
 def mode_of(number: int) -> Mode | None:
     """The mode of a custom_mode; None when this vehicle has no such mode."""
     return Mode(number) if number in Mode.__members__.values() else None

@@ -2,13 +2,13 @@
 
 from sitl.arducopter.arming import BOOT
 from sitl.arducopter.commander import Commander
-from sitl.arducopter.modes import mode_number
+from sitl.arducopter.modes import STANDARD, Mode, mode_number
 from sitl.arducopter.parameters import TABLE
 from sitl.arducopter.streams import GROUPS, RATES_HZ
 from sitl.arducopter.telemetry import MESSAGES, sensors
 from sitl.arducopter.vehicle_setup import gains, pack, rotorcraft
 from sitl.parameters import Parameters
-from sitl.personality import Answers, Missions, Personality, Result, Version
+from sitl.personality import Answers, FlightMode, Missions, Personality, Result, Version
 from sitl.plan import Verdict
 from sitl.transfer import Rules
 
@@ -39,6 +39,7 @@ ARDUCOPTER = Personality(
         home_first=True,
         integer_frames=False,
     ),
+    modes=tuple(FlightMode(int(mode), mode.name, STANDARD.get(mode, 0)) for mode in Mode),
     companion_rates_hz=RATES_HZ,
     gcs_rates_hz=RATES_HZ,
     tcp_port=5760,

@@ -19,7 +19,7 @@ from sitl.plan import Plans
 from sitl.px4.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff
 from sitl.px4.fence import CHECK_MS, FLOWN, RETURN, TERMINATE, FenceOfParameters
 from sitl.px4.missions import Pilot, manners
-from sitl.px4.modes import BASE_MODE, STICK_MAIN_MODES, STICKS, Mode, custom_mode, mode_of
+from sitl.px4.modes import BASE_MODE, NAMES, STICK_MAIN_MODES, STICKS, Mode, custom_mode, mode_of
 from sitl.px4.offboard import OffboardStream, SetpointRefusedError, flown, flown_attitude, read_target
 from sitl.px4.sticks import (
     JOYSTICK_MODES,
@@ -29,7 +29,7 @@ from sitl.px4.sticks import (
     StabilizedSticks,
 )
 from sitl.px4.vehicle_setup import pack
-from sitl.reference import Reference, stopping_point, vector
+from sitl.reference import Reference, Vec3, stopping_point, vector
 from sitl.stick_input import StickInput
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 
@@ -184,7 +184,7 @@ class Commander:
             return self.takeoff(math.nan)
         if self.armed:
             if mode in STICKS and not self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"]):
-                self.say(f"Switching to mode '{STICKS[mode]}' is currently not possible", CRITICAL)
+                self.say(f"Switching to mode '{NAMES[mode][0]}' is currently not possible", CRITICAL)
                 return Result.TEMPORARILY_REJECTED
             if mode is Mode.OFFBOARD and not self.stream.ready(self.now_ms, self._p["COM_OF_LOSS_T"]):
                 self.say("Switching to mode 'Offboard' is currently not possible", CRITICAL)
@@ -287,6 +287,16 @@ class Commander:
     @property
     def intended_custom_mode(self) -> int:
         return custom_mode(self.intended)
+
+    @property
+    def destination(self) -> Vec3 | None:
+        """The place flown to by a mode that flies by itself."""
+        flown = self._autonomous
+        if self.mode is Mode.OFFBOARD or not self.armed:
+            return None
+        if isinstance(flown, MissionFlight):
+            return flown.place
+        return flown.target if isinstance(flown, Loiter | Takeoff | Return | Fly) else None
 
     def say(self, text: str, severity: int = INFO) -> None:
         """Tell the ground; PX4 ends its texts with a tab where an event carries the same news."""

@@ -17,8 +17,8 @@ class Mode(Enum):
     OFFBOARD = (6, 0)
 
 
-STICKS = {Mode.ALTCTL: "Altitude", Mode.POSCTL: "Position", Mode.STABILIZED: "Stabilized"}
-"""Modes that need a pilot's sticks, as PX4's texts call them."""
+STICKS = (Mode.ALTCTL, Mode.POSCTL, Mode.STABILIZED)
+"""Modes that need a pilot's sticks."""
 STICK_MAIN_MODES = (1, 5, 8)
 """Main modes that need them too, and are not flown here: MANUAL, ACRO, RATTITUDE."""
 
@@ -40,6 +40,20 @@ def custom_mode(mode: Mode) -> int:
     """HEARTBEAT.custom_mode."""
     main, sub = mode.value
     return int(main << 16 | sub << 24)
+
+
+NAMES = {
+    Mode.ALTCTL: ("Altitude", 4),
+    Mode.POSCTL: ("Position", 1),
+    Mode.STABILIZED: ("Stabilized", 0),
+    Mode.TAKEOFF: ("Takeoff", 8),
+    Mode.LOITER: ("Hold", 0),
+    Mode.MISSION: ("Mission", 6),
+    Mode.RTL: ("Return", 5),
+    Mode.LAND: ("Land", 7),
+    Mode.OFFBOARD: ("Offboard", 0),
+}
+"""PX4's names of its modes, and the MAV_STANDARD_MODE that each is."""
 
 
 def mode_of(number: int) -> Mode | None:

@@ -5,14 +5,14 @@ import math
 from sitl.frames import Payload
 from sitl.frames import pack as packed
 from sitl.parameters import Parameters
-from sitl.personality import Answers, Missions, Personality, Result, Version
+from sitl.personality import Answers, FlightMode, Missions, Personality, Result, Version
 from sitl.plan import Verdict
 from sitl.px4.commander import BOOT, Commander
-from sitl.px4.modes import mode_number
+from sitl.px4.modes import NAMES, custom_mode, mode_number
 from sitl.px4.parameters import TABLE
 from sitl.px4.streams import COMPANION_RATES_HZ, GCS_RATES_HZ
 from sitl.px4.vehicle_setup import gains, pack, rotorcraft
-from sitl.telemetry import MESSAGES
+from sitl.telemetry import MESSAGES, euler
 from sitl.transfer import Rules
 from sitl.vehicle import Vehicle
 
@@ -59,6 +59,36 @@ def estimator_status(v: Vehicle) -> Payload:
     )
 
 
+def position_target_global_int(v: Vehicle) -> Payload | None:
+    """The place that an automatic mode flies to; other fields as recorded."""
+    place = commander(v).destination
+    if place is None:
+        return None
+    latitude, longitude = v.origin.globe(place[0], place[1])
+    return packed(
+        "POSITION_TARGET_GLOBAL_INT",
+        time_boot_ms=v.now_ms,
+        coordinate_frame=5,
+        type_mask=0,
+        lat_int=round(latitude * 1e7),
+        lon_int=round(longitude * 1e7),
+        alt=v.origin.altitude - place[2],
+        vx=NAN,
+        vy=NAN,
+        vz=NAN,
+        afx=0.0,
+        afy=0.0,
+        afz=100.0,
+        yaw=euler(v.controller.attitude_setpoint)[2],
+        yaw_rate=0.0,
+    )
+
+
+def commander(v: Vehicle) -> Commander:
+    assert isinstance(v.commander, Commander)
+    return v.commander
+
+
 PX4 = Personality(
     name="px4",
     autopilot=12,
@@ -78,6 +108,7 @@ PX4 = Personality(
         home_first=False,
         integer_frames=True,
     ),
+    modes=tuple(FlightMode(custom_mode(mode), *NAMES[mode]) for mode in NAMES),
     companion_rates_hz=COMPANION_RATES_HZ,
     gcs_rates_hz=GCS_RATES_HZ,
     tcp_port=None,
@@ -91,6 +122,10 @@ PX4 = Personality(
     pack=pack,
     mode_number=mode_number,
     sensors=sensors,
-    messages={**MESSAGES, "ESTIMATOR_STATUS": estimator_status},
+    messages={
+        **MESSAGES,
+        "ESTIMATOR_STATUS": estimator_status,
+        "POSITION_TARGET_GLOBAL_INT": position_target_global_int,
+    },
     commander=Commander,
 )

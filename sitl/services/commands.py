@@ -9,7 +9,7 @@ from collections.abc import Callable
 from sitl.frames import Message, name_of, pack
 from sitl.link import Link
 from sitl.personality import Result
-from sitl.services import goto
+from sitl.services import goto, modes
 from sitl.services.command import Command, from_int, from_long
 from sitl.vehicle import Vehicle
 
@@ -64,6 +64,8 @@ def request_message(v: Vehicle, link: Link, command: Command) -> Result:
     name = name_of(int(number)) if math.isfinite(number) else None
     if name == "MESSAGE_INTERVAL":
         return get_message_interval(v, link, Command(0, (command.p[1], 0.0, 0.0, 0.0), 0.0, 0.0, 0.0))
+    if name == "AVAILABLE_MODES":
+        return modes.available_modes(v, link, command.p[1])
     if name is None or name not in v.personality.messages:
         return v.personality.answers.unknown_message
     payload = v.personality.messages[name](v)
@@ -118,6 +120,7 @@ HANDLERS: dict[int, Callable[[Vehicle, Link, Command], Result | None]] = {
     510: get_message_interval,
     511: set_message_interval,
     512: request_message,
+    519: _send("PROTOCOL_VERSION"),
     520: _send("AUTOPILOT_VERSION"),
 }
 """By MAV_CMD number; every other command is UNSUPPORTED."""
