@@ -1,1 +1,1 @@
-"""A simulated PX4-like quadcopter autopilot that any MAVLink client can fly."""
+"""A simulated PX4 or ArduCopter quadcopter autopilot that any MAVLink client can fly."""

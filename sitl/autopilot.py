@@ -1,19 +1,21 @@
 """The autopilot as a whole: what comes in on the links is obeyed, the vehicle moves, telemetry goes out."""
 
-from collections.abc import Callable, Sequence
+import sys
+import traceback
+from collections.abc import Callable
 
 import numpy as np
 
-from sitl import px4
-from sitl.commander import Commander
 from sitl.flight_model import FlightModel
-from sitl.frames import Message, Payload
+from sitl.frames import Frame, Message, Payload, decode
 from sitl.link import Link
+from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
-from sitl.services import clock, commands, missions, parameters, setpoints
-from sitl.telemetry import MESSAGES, Vehicle, statustexts
-from sitl.vehicle_setup import gains, rotorcraft
+from sitl.personality import Personality
+from sitl.services import clock, commands, files, globe, logs, missions, parameters, setpoints, signing, sticks, streams
+from sitl.telemetry import TEXT_CHUNK, statustexts
+from sitl.vehicle import Vehicle
 
 TICK_MS = 10
 """Vehicle time between two looks at the links and streams [ms]."""
@@ -23,6 +25,12 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
     "COMMAND_INT": commands.command_int,
     "SET_MODE": commands.set_mode,
     "SET_POSITION_TARGET_LOCAL_NED": setpoints.set_position_target_local_ned,
+    "SET_POSITION_TARGET_GLOBAL_INT": setpoints.set_position_target_global_int,
+    "SET_ATTITUDE_TARGET": setpoints.set_attitude_target,
+    "SET_GPS_GLOBAL_ORIGIN": globe.set_gps_global_origin,
+    "MANUAL_CONTROL": sticks.manual_control,
+    "RC_CHANNELS_OVERRIDE": sticks.rc_channels_override,
+    "REQUEST_DATA_STREAM": streams.request_data_stream,
     "PARAM_REQUEST_READ": parameters.param_request_read,
     "PARAM_REQUEST_LIST": parameters.param_request_list,
     "PARAM_SET": parameters.param_set,
@@ -31,8 +39,16 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
     "MISSION_REQUEST_LIST": missions.mission_request_list,
     "MISSION_COUNT": missions.mission_count,
     "MISSION_CLEAR_ALL": missions.mission_clear_all,
+    "MISSION_ITEM": missions.mission_item,
+    "MISSION_ITEM_INT": missions.mission_item_int,
     "MISSION_REQUEST": missions.mission_request,
-    "MISSION_REQUEST_INT": missions.mission_request,
+    "MISSION_REQUEST_INT": missions.mission_request_int,
+    "MISSION_ACK": missions.mission_ack,
+    "MISSION_SET_CURRENT": missions.mission_set_current,
+    "FILE_TRANSFER_PROTOCOL": files.file_transfer_protocol,
+    "LOG_REQUEST_LIST": logs.log_request_list,
+    "LOG_REQUEST_DATA": logs.log_request_data,
+    "SETUP_SIGNING": signing.setup_signing,
 }
 """Who answers which message; what is not here is taken note of by nobody."""
 
@@ -40,43 +56,46 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
 class Autopilot:
     """One vehicle on its links. Deterministic: its clock moves only in `advance`."""
 
-    def __init__(self, p: Parameters, origin: Origin, links: Sequence[Link], seed: int, epoch_us: int) -> None:
-        model = FlightModel(gains(p), rotorcraft(p))
+    def __init__(
+        self, personality: Personality, p: Parameters, origin: Origin, network: Network, seed: int, epoch_us: int
+    ) -> None:
+        model = FlightModel(personality.gains(p), personality.craft(p))
         self.vehicle = Vehicle(
+            personality=personality,
             model=model,
-            commander=Commander(p, model, origin.altitude, self._say),
+            commander=personality.commander(p, model, origin, self._say),
             parameters=p,
             origin=origin,
             noise=np.random.default_rng(seed),
             epoch_us=epoch_us,
         )
-        self._links = links
-        self._system = int(p["MAV_SYS_ID"])
+        self.network = network
         self._parameter_changes = p.changes
         self._texts = 0
+        self._failed: set[str] = set()
 
     @property
     def now_ms(self) -> int:
         return self.vehicle.now_ms
 
     def receive(self) -> None:
-        """Obey everything that waits on the links, and forward what is not for this vehicle alone."""
-        for link in self._links:
-            for message, raw in link.receive(self.now_ms):
-                self._receive(link, message, raw)
+        """Obey everything that waits on the links for this vehicle; the rest is forwarded or dropped."""
+        v = self.vehicle
+        unix_us = v.epoch_us + v.now_ms * 1000
+        for link, received in self.network.receive(v.now_ms, unix_us, v.personality.answers.any_component):
+            service = SERVICES.get(received.name)
+            if service is not None:
+                self._serve(service, link, received)
 
-    def _receive(self, link: Link, message: Message, raw: bytes) -> None:
-        target = getattr(message, "target_system", 0)
-        if target != self._system:
-            for other in self._links:
-                if other is not link and other.heard:
-                    other.forward(raw)
-        if target not in (0, self._system) or getattr(message, "target_component", 0) not in (0, 1):
-            link.counters["not for us"] += 1
-            return
-        service = SERVICES.get(message.get_type())
-        if service is not None:
-            service(self.vehicle, link, message)
+    def _serve(self, service: Callable[[Vehicle, Link, Message], None], link: Link, received: Frame) -> None:
+        """A message that a service cannot bear is a defect, told once per kind; the vehicle flies on."""
+        try:
+            service(self.vehicle, link, decode(received))
+        except Exception:  # noqa: BLE001 - whatever it is, it must not end the flight
+            link.counters[f"failed {received.name}"] += 1
+            if received.name not in self._failed:
+                self._failed.add(received.name)
+                print(f"defect: {received.name} {received.raw.hex()}: {traceback.format_exc()}", file=sys.stderr)
 
     def advance(self, duration_ms: int, receive_each_tick: bool = False) -> None:
         """Move on by duration_ms of vehicle time, in ticks of at most 10 ms, sending the telemetry due."""
@@ -91,8 +110,9 @@ class Autopilot:
         v = self.vehicle
         if v.parameters.changes != self._parameter_changes:
             self._parameter_changes = v.parameters.changes
-            v.model.gains = gains(v.parameters)
-            v.model.craft = rotorcraft(v.parameters)
+            v.model.gains = v.personality.gains(v.parameters)
+            v.model.craft = v.personality.craft(v.parameters)
+            v.commander.battery.pack = v.personality.pack(v.parameters)
         setpoint = v.commander.step(tick_ms / 1000.0)
         v.model.advance(setpoint, v.commander.flying, tick_ms)
         v.commander.now_ms += tick_ms
@@ -101,21 +121,32 @@ class Autopilot:
     def _send_due(self) -> None:
         v = self.vehicle
         now = v.now_ms
+        talks = now >= v.personality.timeline.telemetry_ms
+        messages = v.personality.messages
         built: dict[str, Payload | None] = {}
-        for link in self._links:
+        missions.tell_progress(v, self.network.links)
+        for name in v.commander.news:
+            news = messages[name](v)
+            if news is not None:
+                for link in self.network.links:
+                    link.send(news)
+        v.commander.news.clear()
+        for link in self.network.links:
             parameters.continue_list(v, link)
-            if now < px4.TELEMETRY_MS:
+            if not talks:
                 continue
-            for name, stream in link.streams.items():
-                if (link.streaming or name == "HEARTBEAT") and stream.take_due(now):
-                    if name not in built:
-                        built[name] = MESSAGES[name](v)
-                    payload = built[name]
-                    if payload is not None:
-                        link.send(payload)
+            for name in link.due(now):
+                if name not in built:
+                    built[name] = messages[name](v)
+                payload = built[name]
+                if payload is not None:
+                    link.send(payload)
+        self.network.flush()
 
     def _say(self, text: str, severity: int) -> None:
-        self._texts = self._texts % 65535 + 1
-        for payload in statustexts(text, severity, self._texts):
-            for link in self._links:
+        number = 0
+        if len(text) >= TEXT_CHUNK or self.vehicle.personality.answers.numbers_short_texts:
+            number = self._texts = self._texts % 65535 + 1
+        for payload in statustexts(text, severity, number):
+            for link in self.network.links:
                 link.send(payload)

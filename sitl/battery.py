@@ -1,31 +1,54 @@
 """The battery: drained by the paper's propulsion power, voltage falling with its charge."""
 
+from dataclasses import dataclass
+
 from airframe.power import NO_PANEL, RotaryWing, total_power
-from sitl.parameters import Parameters
 
 WING = RotaryWing()
 
 
-class Battery:
-    """Energy left, from full; capacity and cell voltages are BAT1_* parameters."""
+@dataclass(frozen=True)
+class Pack:
+    """What a battery is made of, and when it counts as low."""
 
-    def __init__(self) -> None:
+    cells: int
+    capacity_mah: float
+    full_v: float
+    """Of one cell [V]."""
+    empty_v: float
+    thresholds: tuple[float, float, float]
+    """Remaining share below which it is low, critical, and an emergency."""
+
+    @property
+    def capacity_j(self) -> float:
+        """The charge at the mean of the full and the empty voltage."""
+        return self.capacity_mah * 3.6 * self.cells * 0.5 * (self.full_v + self.empty_v)
+
+
+class Battery:
+    """Energy left, from full."""
+
+    def __init__(self, pack: Pack) -> None:
+        self.pack = pack
         self.used_j = 0.0
         self.power_w = 0.0
 
-    def capacity_j(self, p: Parameters) -> float:
-        """BAT1_CAPACITY [mAh] at the mean of the full and the empty voltage."""
-        volts = p["BAT1_N_CELLS"] * 0.5 * (p["BAT1_V_CHARGED"] + p["BAT1_V_EMPTY"])
-        return p["BAT1_CAPACITY"] * 3.6 * volts
-
-    def remaining(self, p: Parameters) -> float:
+    @property
+    def remaining(self) -> float:
         """Share of the capacity left, 0 to 1."""
-        return max(0.0, 1.0 - self.used_j / self.capacity_j(p))
+        return max(0.0, 1.0 - self.used_j / self.pack.capacity_j)
 
-    def voltage(self, p: Parameters) -> float:
+    @property
+    def voltage(self) -> float:
         """[V], linear in the charge."""
-        empty, full = p["BAT1_V_EMPTY"], p["BAT1_V_CHARGED"]
-        return p["BAT1_N_CELLS"] * (empty + (full - empty) * self.remaining(p))
+        pack = self.pack
+        return pack.cells * (pack.empty_v + (pack.full_v - pack.empty_v) * self.remaining)
+
+    @property
+    def level(self) -> int:
+        """0 well, 1 low, 2 critical, 3 emergency."""
+        remaining = self.remaining
+        return sum(remaining < threshold for threshold in self.pack.thresholds)
 
     def drain(self, north: float, east: float, down: float, flying: bool, dt: float) -> None:
         """Draw the power of this velocity [m/s] for dt [s]; nothing while the motors stand."""

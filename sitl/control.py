@@ -79,6 +79,12 @@ class Setpoint(NamedTuple):
     """Climb limit [m/s] on top of the parameter's; PX4's takeoff ramp starts it below zero."""
     thrust_min: float = 0.0
     """MPC_THR_MIN in flight, 0 until then."""
+    thrust: float = math.nan
+    """Collective, 0 to 1: flown instead of position and velocity, with `attitude` or `rates`; NaN = not given."""
+    attitude: tuple[float, float, float, float] = (math.nan, math.nan, math.nan, math.nan)
+    """Body to NED, w first."""
+    rates: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    """FRD [rad/s]; NaN = from the attitude."""
 
 
 class Controller(NamedTuple):
@@ -429,13 +435,38 @@ def rest(c: Controller, yaw: float) -> None:
 
 
 @compiled
+def take_thrust(body: Body, c: Controller, setpoint: Setpoint) -> None:
+    """A collective and an attitude given from outside take the place of the position and velocity loops."""
+    zx, zy, zz = rotate(body.attitude, 0.0, 0.0, 1.0)
+    c.thrust_setpoint[0] = -zx * setpoint.thrust
+    c.thrust_setpoint[1] = -zy * setpoint.thrust
+    c.thrust_setpoint[2] = -zz * setpoint.thrust
+    for i in range(4):
+        given = setpoint.attitude[i]
+        c.attitude_setpoint[i] = body.attitude[i] if math.isnan(given) else given
+    for i in range(3):
+        c.velocity_setpoint[i] = math.nan
+        c.acceleration_setpoint[i] = 0.0
+        c.velocity_integral[i] = 0.0
+        c.velocity_derivative[i] = 0.0
+        c.velocity_before[i] = body.velocity[i]
+
+
+@compiled
 def control(body: Body, c: Controller, setpoint: Setpoint, gains: Gains, dt: float) -> None:
     """One pass of the whole cascade: from the setpoint to motor commands."""
-    control_velocity(body, c, setpoint, gains, dt)
+    if math.isnan(setpoint.thrust):
+        control_velocity(body, c, setpoint, gains, dt)
+        yaw = heading(body.attitude) if math.isnan(setpoint.yaw) else setpoint.yaw
+        attitude_from_thrust(c.thrust_setpoint, yaw, c.attitude_setpoint)
+    else:
+        take_thrust(body, c, setpoint)
     if body.contact_s[0] > 0.0:  # integrals must not wind up against the ground
         c.velocity_integral[:] = 0.0
         c.rate_integral[:] = 0.0
-    yaw = heading(body.attitude) if math.isnan(setpoint.yaw) else setpoint.yaw
-    attitude_from_thrust(c.thrust_setpoint, yaw, c.attitude_setpoint)
-    control_attitude(body, c, setpoint, gains)
+    if math.isnan(setpoint.rates[0]):
+        control_attitude(body, c, setpoint, gains)
+    else:
+        for i in range(3):
+            c.rate_setpoint[i] = min(max(setpoint.rates[i], -gains.rate_max[i]), gains.rate_max[i])
     control_rates(body, c, gains, dt)

@@ -1,16 +1,15 @@
-"""One UDP link: a bound socket, one peer, the streams that run on it."""
+"""A link: one channel to one client, with its own streams, rates, sequence numbers and counters."""
 
-import socket
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from heapq import heappop, heappush
 
-from sitl.frames import Message, Payload, frame, unpack
+from sitl.frames import SIGNED, Payload, frame
+from sitl.signing import Signing
 
-Address = tuple[str, int]
-
-RECEIVE_BUFFER = 4 << 20
-"""Bytes; a paused lockstep vehicle must not lose what its clients send meanwhile."""
-PEER_SILENT_MS = 10_000
-"""A learned peer that is silent for so long is forgotten for the configured one."""
+INTERVAL_MIN_MS, INTERVAL_MAX_MS = 10.0, 1.8e6
+AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
 
 
 class PortError(OSError):
@@ -19,6 +18,8 @@ class PortError(OSError):
 
 class Stream:
     """A message sent at a steady rate."""
+
+    __slots__ = ("due_ms", "interval_ms")
 
     def __init__(self, interval_ms: float, now_ms: int) -> None:
         self.interval_ms = interval_ms
@@ -35,52 +36,41 @@ class Stream:
 
 
 class Link:
-    """Sends one frame per datagram to a configured peer, or to whoever spoke last on this link."""
+    """What the services answer on. `put` hands a frame to the socket and says whether it took it."""
 
     def __init__(
         self,
         name: str,
-        bind_port: int,
-        peer_port: int,
-        rates_hz: dict[str, float],
+        rates_hz: Mapping[str, float],
         system: int,
+        signing: Signing,
+        put: Callable[[bytes], bool],
+        *,
         talks_first: bool = True,
+        now_ms: int = 0,
     ) -> None:
-        """A link that does not talk first sends only heartbeats until somebody speaks on it.
-
-        Raises PortError when the port is taken.
-        """
+        """A link that does not talk first sends only heartbeats until somebody speaks on it."""
         self.name = name
-        self._talks_first = talks_first
-        self.default_rates_hz = rates_hz
-        self.streams: dict[str, Stream] = {}
-        self.reset_streams(0)
+        self.system = system
+        self.signing = signing
+        self.number = signing.new_link_id()
+        """The link id of its signatures."""
+        self.heard = False
+        """Whether somebody speaks on this link."""
         self.counters: Counter[str] = Counter()
         self.sent = 0
+        """Frames handed to the socket."""
+        self.default_rates_hz = rates_hz
+        self.streams: dict[str, Stream] = {}
         self.parameters_pending: int | None = None
         """Index of the next parameter of a list under way."""
-        self.system = system
-        self._configured: Address = ("127.0.0.1", peer_port)
-        self.peer = self._configured
-        self._heard_ms = 0
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-        self.socket.setblocking(False)
-        try:
-            self.socket.bind(("127.0.0.1", bind_port))
-        except (OSError, OverflowError) as error:
-            self.socket.close()
-            raise PortError(f"{name} link: UDP port 127.0.0.1:{bind_port} cannot be bound ({error})") from error
-
-    @property
-    def port(self) -> int:
-        """The port it listens on."""
-        return int(self.socket.getsockname()[1])
-
-    @property
-    def heard(self) -> bool:
-        """Whether somebody speaks on this link."""
-        return self._heard_ms > 0
+        self._put = put
+        self._talks_first = talks_first
+        self._sequence = 0
+        self._queue: list[tuple[float, int, str, Stream]] = []
+        """Streams by when they are due, then by age; one that is not in `streams` any more is passed over."""
+        self._entered = 0
+        self.reset_streams(now_ms)
 
     @property
     def streaming(self) -> bool:
@@ -89,7 +79,15 @@ class Link:
 
     def reset_streams(self, now_ms: int) -> None:
         """All streams back to their usual rates."""
-        self.streams = {name: Stream(1000.0 / rate, now_ms) for name, rate in self.default_rates_hz.items()}
+        self.streams.clear()
+        self._queue.clear()
+        for name, rate in self.default_rates_hz.items():
+            self._schedule(name, Stream(1000.0 / rate, now_ms))
+
+    def _schedule(self, name: str, stream: Stream) -> None:
+        self.streams[name] = stream
+        self._entered += 1
+        heappush(self._queue, (stream.due_ms, self._entered, name, stream))
 
     def set_interval(self, name: str, interval_us: float, now_ms: int) -> None:
         """SET_MESSAGE_INTERVAL: -1 stops, 0 restores the usual rate, else microseconds (10 ms to half an hour)."""
@@ -102,49 +100,41 @@ class Link:
                 self.streams.pop(name, None)
                 return
             interval_us = 1e6 / usual
-        self.streams[name] = Stream(min(max(interval_us / 1000.0, 10.0), 1.8e6), now_ms)
+        self._schedule(name, Stream(min(max(interval_us / 1000.0, INTERVAL_MIN_MS), INTERVAL_MAX_MS), now_ms))
 
     def interval_us(self, name: str) -> int:
         """MESSAGE_INTERVAL.interval_us: -1 when not sent."""
         stream = self.streams.get(name)
         return -1 if stream is None else round(stream.interval_ms * 1000.0)
 
+    def due(self, now_ms: int) -> Iterator[str]:
+        """The messages to stream now, by name."""
+        queue = self._queue
+        while queue and queue[0][0] <= now_ms:
+            _, age, name, stream = heappop(queue)
+            if self.streams.get(name) is not stream:
+                continue
+            stream.take_due(now_ms)
+            heappush(queue, (stream.due_ms, age, name, stream))
+            if self.streaming or name == "HEARTBEAT":
+                yield name
+
     def send(self, payload: Payload) -> None:
-        """Frame and send to the peer; nobody listening is no error."""
-        self._put(frame(payload, self.sent & 0xFF, self.system, 1))
+        """Frame, sign if need be, and send; nobody listening is no error."""
+        signing = self.signing
+        raw = frame(payload, self._sequence & 0xFF, self.system, AUTOPILOT, SIGNED if signing.active else 0)
+        if signing.active:
+            raw = signing.sign(raw, self.number)
+        self._sequence += 1
+        self._hand_over(raw)
 
     def forward(self, raw: bytes) -> None:
         """Pass a frame of somebody else on."""
-        self._put(raw)
+        self.counters["forwarded"] += 1
+        self._hand_over(raw)
 
-    def _put(self, raw: bytes) -> None:
-        try:
-            self.socket.sendto(raw, self.peer)
-        except OSError:
+    def _hand_over(self, raw: bytes) -> None:
+        if self._put(raw):
+            self.sent += 1
+        else:
             self.counters["send failed"] += 1
-            return
-        self.sent += 1
-
-    def receive(self, now_ms: int) -> list[tuple[Message, bytes]]:
-        """Everything that waits, oldest first; learns the peer from good frames."""
-        messages: list[tuple[Message, bytes]] = []
-        while True:
-            try:
-                datagram, address = self.socket.recvfrom(65535)
-            except BlockingIOError:
-                break
-            except OSError:  # a port unreachable message of an earlier send
-                continue
-            good = unpack(datagram, self.counters)
-            if good:
-                self.peer = address
-                self._heard_ms = max(now_ms, 1)
-                messages.extend(good)
-        if self.heard and now_ms - self._heard_ms > PEER_SILENT_MS:
-            self.peer = self._configured
-            self._heard_ms = 0
-        self.counters["received"] += len(messages)
-        return messages
-
-    def close(self) -> None:
-        self.socket.close()

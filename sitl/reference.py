@@ -3,10 +3,24 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 Vec3 = tuple[float, float, float]
 
 ERROR_MAX_M = 2.0
 """MPC_XY_ERR_MAX: the reference waits as the vehicle falls behind it, and stands at this distance."""
+
+
+def vector(array: NDArray[np.float64]) -> Vec3:
+    """A float64 [3] array as three floats."""
+    return float(array[0]), float(array[1]), float(array[2])
+
+
+def turned(yaw: float, goal: float, step: float) -> float:
+    """Yaw moved towards goal by at most `step`, the shorter way round [rad]."""
+    error = math.remainder(goal - yaw, 2.0 * math.pi)
+    return math.remainder(yaw + min(max(error, -step), step), 2.0 * math.pi)
 
 
 @dataclass(frozen=True)

@@ -1,26 +1,30 @@
-"""The server: runs one autopilot on its links, paced by the wall clock or stepped by a control client."""
+"""The server: runs autopilots on their links, paced by the wall clock or stepped by a control client."""
 
+import copy
 import os
-import selectors
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 from sitl.autopilot import TICK_MS, Autopilot
-from sitl.control_socket import ControlSocket, read_advance
+from sitl.control_socket import ControlClient, ControlSocket, read_advance
 from sitl.flight_model import compile_now
 from sitl.link import Link, PortError
+from sitl.network import Network, Port
 from sitl.origin import Origin
+from sitl.pacing import Pacer
 from sitl.parameters import Parameters
-from sitl.px4 import COMPANION_RATES_HZ, GCS_RATES_HZ
-from sitl.vehicle_setup import gains, rotorcraft
+from sitl.personality import Personality
+from sitl.requests import VEHICLE_REQUESTS
+from sitl.signing import Signing
+from sitl.tcp import TcpPort
+from sitl.udp import SILENT_MS, UdpPort
 
-BEHIND_MAX_S = 0.1
-"""A paced vehicle that is further behind the wall clock lets the wall clock go, rather than rush."""
 LOCKSTEP_EPOCH_US = 1_767_225_600_000_000
 """SYSTEM_TIME at boot in lockstep, 2026-01-01: the same inputs give the same bytes."""
 COMPILE_NOTICE_S = 3.0
@@ -29,16 +33,26 @@ LINGER_MS = 3000
 """Vehicle time after the last disarming before the process ends, so that its clients hear of it."""
 ORPHAN_CHECK_S = 1.0
 """How often a process that waits for its first control client looks for its launcher."""
+COMPANION_PORTS = 10
+"""PX4 gives its first ten instances companion ports of their own; the others share the tenth's."""
+TCP_STRIDE = 10
+"""ArduPilot's distance between the TCP ports of two instances."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How to run; ports are UDP on loopback, 0 picks a free one to listen on."""
+    """How to run; ports are on loopback, UDP unless said, 0 picks a free one to listen on.
 
+    Vehicle i = 0, 1, ... has the system id and the ports of the first one plus i, as PX4 numbers its instances.
+    """
+
+    personality: Personality
+    parameters: Parameters
     gcs_port: int = 14550
     companion_port: int = 14540
     gcs_bind: int = 18570
     companion_bind: int = 14580
+    tcp_port: int | None = None
     speed: float = 1.0
     lockstep: bool = False
     control_port: int | None = None
@@ -47,7 +61,10 @@ class Options:
     """Process id of our parent, without which no flight will begin."""
     seed: int = 0
     origin: Origin = field(default_factory=Origin)
-    parameters: Parameters = field(default_factory=Parameters)
+    vehicles: int = 1
+    spacing_m: float = 5.0
+    """Each vehicle starts so far east of the one before."""
+    signing_key: bytes | None = None
 
 
 class Stopped(Exception):  # noqa: N818  # not an error: somebody asked the process to end
@@ -67,135 +84,199 @@ def told_if_slow() -> Iterator[None]:
         notice.cancel()
 
 
-class Server:
-    """Sockets and clock of one autopilot."""
+class Instance:
+    """One vehicle of the process: its sockets and its autopilot."""
 
-    def __init__(self, options: Options) -> None:
+    def __init__(self, options: Options, index: int, epoch_us: int) -> None:
         """Raises PortError."""
-        p = options.parameters
+        personality, p = options.personality, copy.deepcopy(options.parameters)
+        self.system = int(p[personality.system_id]) + index
+        p.set(personality.system_id, self.system)
+        signing = Signing(options.signing_key)
+        silent_ms = round(SILENT_MS * max(options.speed, 1.0))
+        self._ports: list[UdpPort | TcpPort] = []
+
+        def new_link(name: str, put: Callable[[bytes], bool], now_ms: int) -> Link:
+            gcs = name == "gcs"
+            rates_hz = personality.gcs_rates_hz if gcs else personality.companion_rates_hz
+            return Link(name, rates_hz, self.system, signing, put, talks_first=not gcs, now_ms=now_ms)
+
+        def offset(port: int, stride: int = 1) -> int:
+            return port and port + index * stride
+
+        try:
+            peer = options.companion_port + min(index, COMPANION_PORTS - 1)
+            companion = UdpPort(
+                "companion", offset(options.companion_bind), peer, partial(new_link, "companion"), silent_ms
+            )
+            self._ports.append(companion)
+            self._ports.append(
+                UdpPort("gcs", offset(options.gcs_bind), options.gcs_port, partial(new_link, "gcs"), silent_ms)
+            )
+            if options.tcp_port is not None:
+                self._ports.append(TcpPort("tcp", offset(options.tcp_port, TCP_STRIDE), partial(new_link, "tcp")))
+        except PortError:
+            self.close()
+            raise
+        self.companion = companion.configured
+        """The link whose frames `advance` counts."""
+        ports: list[Port] = [*self._ports]
+        north, east = 0.0, index * options.spacing_m
+        latitude, longitude = options.origin.globe(north, east)
+        origin = Origin(latitude, longitude, options.origin.altitude) if index else options.origin
+        network = Network(ports, self.system, signing)
+        self.autopilot = Autopilot(personality, p, origin, network, options.seed + index, epoch_us)
+
+    def describe(self) -> list[str]:
+        """One line per socket."""
+        return [port.describe() for port in self._ports]
+
+    def close(self) -> None:
+        for port in self._ports:
+            port.close()
+
+
+class Server:
+    """Sockets and clock of the vehicles of one process."""
+
+    def __init__(self, options: Options, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock` is the wall clock [s]. Raises PortError."""
+        personality, p = options.personality, options.parameters
         self._options = options
         self._was_controlled = False
         self._over_ms: int | None = None
         """Since when there is nothing left to fly."""
-        self._open: list[Link | ControlSocket] = []
+        self.instances: list[Instance] = []
+        self._control: ControlSocket | None = None
+        epoch_us = LOCKSTEP_EPOCH_US if options.lockstep else time.time_ns() // 1000
         try:
-            system = int(p["MAV_SYS_ID"])
-            self._companion = self._opened(
-                Link("companion", options.companion_bind, options.companion_port, COMPANION_RATES_HZ, system)
-            )
-            self._gcs = self._opened(
-                Link("gcs", options.gcs_bind, options.gcs_port, GCS_RATES_HZ, system, talks_first=False)
-            )
-            self._control = ControlSocket(options.control_port or 0) if self._controllable else None
+            for index in range(options.vehicles):
+                self.instances.append(Instance(options, index, epoch_us))
+            if options.lockstep or options.control_port is not None:
+                self._control = ControlSocket(options.control_port or 0)
         except PortError:
             self.close()
             raise
-        if self._control is not None:
-            self._open.append(self._control)
         with told_if_slow():
-            compile_now(gains(p), rotorcraft(p))
-        epoch_us = LOCKSTEP_EPOCH_US if options.lockstep else time.time_ns() // 1000
-        self._autopilot = Autopilot(p, options.origin, (self._companion, self._gcs), options.seed, epoch_us)
-        self._selector = selectors.DefaultSelector()
-        if self._control is not None:
-            self._selector.register(self._control.listener, selectors.EVENT_READ)
-
-    def _opened(self, link: Link) -> Link:
-        self._open.append(link)
-        return link
+            compile_now(personality.gains(p), personality.craft(p))
+        self._pacer = Pacer(TICK_MS / 1000.0, options.speed, clock)
 
     @property
-    def _controllable(self) -> bool:
-        return self._options.lockstep or self._options.control_port is not None
+    def now_ms(self) -> int:
+        """Vehicle time, the same for all."""
+        return self.instances[0].autopilot.now_ms
 
     def describe(self) -> list[str]:
-        """One line per socket, as printed at start."""
+        """One line per socket, as printed at start; of several vehicles each is named by its system id."""
+        several = len(self.instances) > 1
         lines = [
-            f"{link.name} 127.0.0.1:{link.port} -> 127.0.0.1:{link.peer[1]}" for link in (self._companion, self._gcs)
+            f"vehicle {instance.system} {line}" if several else line
+            for instance in self.instances
+            for line in instance.describe()
         ]
         if self._control is not None:
-            lines.append(f"control 127.0.0.1:{self._control.port}")
+            lines.append(self._control.describe())
         return lines
 
     def run(self) -> None:
         """Fly until stopped, told to quit, or landed (`exit_when_landed`)."""
-        wall = time.monotonic()
-        vehicle_ms = self._autopilot.now_ms
         while not self._finished():
-            if self._stepped:
-                self._serve_control(ORPHAN_CHECK_S)
-                wall, vehicle_ms = time.monotonic(), self._autopilot.now_ms
-                continue
-            due = wall + (self._autopilot.now_ms + TICK_MS - vehicle_ms) / 1000.0 / self._options.speed
-            wait = due - time.monotonic()
-            if wait > 0.0 or self._control is not None:
-                self._serve_control(max(wait, 0.0))
-                if self._stepped or time.monotonic() < due:
-                    continue
-            self._autopilot.advance(TICK_MS, receive_each_tick=True)
-            if time.monotonic() - due > BEHIND_MAX_S:
-                wall, vehicle_ms = time.monotonic(), self._autopilot.now_ms
+            self.turn()
+
+    def turn(self) -> None:
+        """Wait for a request or until a tick is due, at most a second, and do it."""
+        if self._stepped:
+            self._serve_control(ORPHAN_CHECK_S)
+            self._pacer.restart()
+            return
+        wait_s = self._pacer.wait_s()
+        if wait_s > 0.0 or self._control is not None:
+            self._serve_control(wait_s)
+            if self._stepped or self._pacer.wait_s() > 0.0:
+                return
+        for instance in self.instances:
+            instance.autopilot.receive()
+            instance.autopilot.advance(TICK_MS)
+        self._pacer.ticked()
 
     @property
     def _stepped(self) -> bool:
         """Whether a control client owns the clock, or is waited for."""
         if self._control is None:
             return False
-        return self._control.connected or (self._options.lockstep and not self._was_controlled)
+        return self._control.owner is not None or (self._options.lockstep and not self._was_controlled)
 
     def _finished(self) -> bool:
-        commander = self._autopilot.vehicle.commander
-        if not (commander.has_flown or self._was_controlled):
+        commanders = [instance.autopilot.vehicle.commander for instance in self.instances]
+        if not (self._was_controlled or any(commander.has_flown for commander in commanders)):
             return self._options.launcher not in (None, os.getppid())
-        if not self._options.exit_when_landed or self._stepped or commander.armed:
+        if not self._options.exit_when_landed or self._stepped or any(commander.armed for commander in commanders):
             self._over_ms = None
             return False
         if self._over_ms is None:
-            self._over_ms = self._autopilot.now_ms
-        return self._autopilot.now_ms - self._over_ms >= LINGER_MS
+            self._over_ms = self.now_ms
+        return self.now_ms - self._over_ms >= LINGER_MS
 
-    def _serve_control(self, timeout: float | None) -> None:
-        """Wait for control clients, at most `timeout` s of wall clock, and answer them."""
-        control = self._control
-        if control is None:
-            time.sleep(timeout or 0.0)
+    def _serve_control(self, timeout_s: float) -> None:
+        """Wait for control clients, at most so long, and answer them."""
+        if self._control is None:
+            time.sleep(timeout_s)
             return
-        for key, _ in self._selector.select(timeout):
-            if key.fileobj is control.listener:
-                client = control.accept()
-                if client is not None:
-                    self._selector.register(client, selectors.EVENT_READ)
-                    self._was_controlled = True
-                continue
-            for line in control.lines():
-                self._answer(control, line)
-            if not control.connected:
-                self._selector.unregister(key.fileobj)
-
-    def _answer(self, control: ControlSocket, line: str) -> None:
-        request, _, argument = line.partition(" ")
-        if request == "hello" and not argument:
-            control.answer(f"aerialstar-sitl 1 {self._autopilot.now_ms}")
-        elif request == "advance":
+        for client, line in self._control.requests(timeout_s):
             try:
-                duration = read_advance(argument)
+                client.answer(self._answer(self._control, client, line))
             except ValueError as error:
-                control.answer(f"error {error}")
-                return
-            before = self._companion.sent
-            self._autopilot.receive()
-            self._autopilot.advance(duration)
-            control.answer(f"advanced {self._autopilot.now_ms} {self._companion.sent - before}")
-        elif request == "quit" and not argument:
-            control.answer("bye")
+                client.answer(f"error {error}")
+        self._control.drop_gone()
+
+    def _answer(self, control: ControlSocket, client: ControlClient, line: str) -> str:
+        """The answer to one request. Raises ValueError with what is wrong with it."""
+        request, _, argument = line.partition(" ")
+        if line == "hello":
+            self._was_controlled |= control.owns(client)
+            return f"aerialstar-sitl 1 {self.now_ms}"
+        if request == "advance":
+            duration_ms = read_advance(argument)
+            if not control.owns(client):
+                raise ValueError("advance: the clock belongs to another control client")
+            self._was_controlled = True
+            return f"advanced {self._step(duration_ms)}"
+        if line == "quit":
+            client.answer("bye")
             raise Stopped
-        else:
-            control.answer(f"error {line!r}: expected hello, advance <ms> or quit")
+        instance = self.instances[0]
+        if request == "vehicle":
+            number, _, argument = argument.partition(" ")
+            instance = self._instance(number)
+            request, _, argument = argument.partition(" ")
+        handler = VEHICLE_REQUESTS.get(request)
+        if handler is None:
+            known = ", ".join(sorted(VEHICLE_REQUESTS))
+            raise ValueError(f"{line!r}: expected hello, advance <ms>, quit, {known} or vehicle <system id> <request>")
+        return handler(instance.autopilot, argument)
+
+    def _instance(self, number: str) -> Instance:
+        for instance in self.instances:
+            if str(instance.system) == number:
+                return instance
+        known = ", ".join(str(instance.system) for instance in self.instances)
+        raise ValueError(f"vehicle: {number!r} is no system id, {known} are")
+
+    def _step(self, duration_ms: int) -> str:
+        """Move all vehicles; the time and the frames each sent to its companion."""
+        before = [instance.companion.sent for instance in self.instances]
+        for instance in self.instances:
+            instance.autopilot.receive()
+            instance.autopilot.advance(duration_ms)
+        frames = [instance.companion.sent - sent for instance, sent in zip(self.instances, before, strict=True)]
+        return " ".join(map(str, (self.now_ms, *frames)))
 
     def close(self) -> None:
         """Close all sockets."""
-        for opened in self._open:
-            opened.close()
+        for instance in self.instances:
+            instance.close()
+        if self._control is not None:
+            self._control.close()
 
 
 def run(options: Options) -> int:

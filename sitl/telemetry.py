@@ -4,54 +4,19 @@ A function returns None while the vehicle does not know yet (no position, no hom
 """
 
 import math
+import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from sitl import px4
-from sitl.autonomy import vector
-from sitl.commander import Commander
-from sitl.control import Controller
-from sitl.flight_model import FlightModel
 from sitl.frames import Payload, pack
-from sitl.origin import Origin
-from sitl.parameters import Parameters
-from sitl.physics import Body, heading
+from sitl.physics import GRAVITY, heading
+from sitl.reference import vector
+from sitl.vehicle import Vehicle
 
 NAN = math.nan
-MAV_STATE_UNINIT, MAV_STATE_STANDBY, MAV_STATE_ACTIVE, MAV_STATE_CRITICAL = 0, 3, 4, 5
 ACCELEROMETER_NOISE, GYRO_NOISE, GPS_NOISE_M = 0.03, 0.002, 0.1
 """Standard deviations [m/s2, rad/s, m] of what HIGHRES_IMU and GPS_RAW_INT show; control flies on the true state."""
-
-
-@dataclass(frozen=True)
-class Vehicle:
-    """All that telemetry is made of."""
-
-    model: FlightModel
-    commander: Commander
-    parameters: Parameters
-    origin: Origin
-    noise: np.random.Generator
-    epoch_us: int
-    """Unix time of boot [us]."""
-
-    @property
-    def body(self) -> Body:
-        return self.model.body
-
-    @property
-    def controller(self) -> Controller:
-        return self.model.controller
-
-    def position(self) -> tuple[float, float, float]:
-        """NED from the local origin [m]."""
-        return vector(self.body.position)
-
-    @property
-    def now_ms(self) -> int:
-        return self.commander.now_ms
 
 
 def euler(q: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[float, float, float]:
@@ -79,26 +44,17 @@ def millivolts(volts: float) -> int:
     return min(round(volts * 1000.0), 65534)
 
 
-def located(v: Vehicle) -> bool:
-    """Whether the estimator has a position."""
-    return v.now_ms >= px4.POSITION_MS
-
-
 def heartbeat(v: Vehicle) -> Payload | None:
-    if v.now_ms < px4.HEARTBEAT_MS:
+    if v.now_ms < v.personality.timeline.heartbeat_ms:
         return None
     commander = v.commander
-    if commander.armed:
-        status = MAV_STATE_ACTIVE if commander.ready else MAV_STATE_CRITICAL
-    else:
-        status = MAV_STATE_STANDBY if commander.ready else MAV_STATE_UNINIT
     return pack(
         "HEARTBEAT",
-        type=int(v.parameters["MAV_TYPE"]),
-        autopilot=12,
-        base_mode=px4.BASE_MODE[commander.mode] | (0x80 if commander.armed else 0),
-        custom_mode=px4.custom_mode(commander.mode),
-        system_status=status,
+        type=v.personality.vehicle_type(v.parameters),
+        autopilot=v.personality.autopilot,
+        base_mode=commander.base_mode,
+        custom_mode=commander.custom_mode,
+        system_status=int(commander.system_status),
         mavlink_version=3,
     )
 
@@ -107,27 +63,24 @@ def current_mode(v: Vehicle) -> Payload:
     return pack(
         "CURRENT_MODE",
         standard_mode=0,
-        custom_mode=px4.custom_mode(v.commander.mode),
-        intended_custom_mode=px4.custom_mode(v.commander.intended),
+        custom_mode=v.commander.custom_mode,
+        intended_custom_mode=v.commander.intended_custom_mode,
     )
 
 
 def sys_status(v: Vehicle) -> Payload:
-    ready = located(v)
-    health = px4.SENSORS_HEALTH[ready]
-    if v.commander.ready:
-        health |= px4.PREARM_CHECK
-    battery, p = v.commander.battery, v.parameters
-    volts = battery.voltage(p)
+    present, enabled, health = v.personality.sensors(v)
+    battery = v.commander.battery
+    volts = battery.voltage
     return pack(
         "SYS_STATUS",
-        onboard_control_sensors_present=px4.SENSORS_PRESENT[ready],
-        onboard_control_sensors_enabled=px4.SENSORS_ENABLED[ready],
+        onboard_control_sensors_present=present,
+        onboard_control_sensors_enabled=enabled,
         onboard_control_sensors_health=health,
         load=100,
         voltage_battery=millivolts(volts),
         current_battery=int16(battery.power_w / volts * 100.0),
-        battery_remaining=math.ceil(battery.remaining(p) * 100.0),
+        battery_remaining=math.ceil(battery.remaining * 100.0),
         drop_rate_comm=0,
         errors_comm=0,
         errors_count1=0,
@@ -141,8 +94,8 @@ def sys_status(v: Vehicle) -> Payload:
 
 
 def battery_status(v: Vehicle) -> Payload:
-    battery, p = v.commander.battery, v.parameters
-    volts = battery.voltage(p)
+    battery = v.commander.battery
+    volts = battery.voltage
     return pack(
         "BATTERY_STATUS",
         id=0,
@@ -151,12 +104,11 @@ def battery_status(v: Vehicle) -> Payload:
         temperature=32767,
         voltages=[millivolts(volts)] + [65535] * 9,
         current_battery=int16(battery.power_w / volts * 100.0),
-        current_consumed=round((1.0 - battery.remaining(p)) * p["BAT1_CAPACITY"]),
+        current_consumed=round((1.0 - battery.remaining) * battery.pack.capacity_mah),
         energy_consumed=round(battery.used_j / 100.0),
-        battery_remaining=math.ceil(battery.remaining(p) * 100.0),
+        battery_remaining=math.ceil(battery.remaining * 100.0),
         time_remaining=0,
-        charge_state=1
-        + sum(battery.remaining(p) < p[name] for name in ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")),
+        charge_state=1 + battery.level,
         voltages_ext=[0, 0, 0, 0],
         mode=0,
         fault_bitmask=0,
@@ -200,7 +152,7 @@ def attitude_quaternion(v: Vehicle) -> Payload:
 
 
 def local_position_ned(v: Vehicle) -> Payload | None:
-    if not located(v):
+    if not v.located:
         return None
     x, y, z = vector(v.body.position)
     vx, vy, vz = vector(v.body.velocity)
@@ -208,8 +160,11 @@ def local_position_ned(v: Vehicle) -> Payload | None:
 
 
 def global_position_int(v: Vehicle) -> Payload | None:
-    if not located(v):
-        return None
+    return global_position(v) if v.located else None
+
+
+def global_position(v: Vehicle) -> Payload:
+    """GLOBAL_POSITION_INT, whatever the estimator says."""
     x, y, z = vector(v.body.position)
     vx, vy, vz = vector(v.body.velocity)
     latitude, longitude = v.origin.globe(x, y)
@@ -229,7 +184,7 @@ def global_position_int(v: Vehicle) -> Payload | None:
 
 
 def odometry(v: Vehicle) -> Payload | None:
-    if not located(v):
+    if not v.located:
         return None
     x, y, z = vector(v.body.position)
     vx, vy, vz = vector(v.body.velocity)
@@ -258,7 +213,7 @@ def odometry(v: Vehicle) -> Payload | None:
 
 
 def altitude(v: Vehicle) -> Payload | None:
-    if not located(v):
+    if not v.located:
         return None
     up = -float(v.body.position[2])
     home_up = -v.commander.home[2] if v.commander.home is not None else 0.0
@@ -275,7 +230,7 @@ def altitude(v: Vehicle) -> Payload | None:
 
 
 def vfr_hud(v: Vehicle) -> Payload | None:
-    if not located(v):
+    if not v.located:
         return None
     vx, vy, vz = vector(v.body.velocity)
     return pack(
@@ -382,24 +337,6 @@ def position_target_local_ned(v: Vehicle) -> Payload:
     )
 
 
-def estimator_status(v: Vehicle) -> Payload:
-    ready = located(v)
-    good = 0.02 if ready else NAN
-    return pack(
-        "ESTIMATOR_STATUS",
-        time_usec=v.now_ms * 1000,
-        flags=px4.ESTIMATOR_READY if ready else px4.ESTIMATOR_WAITING,
-        vel_ratio=good,
-        pos_horiz_ratio=good,
-        pos_vert_ratio=good,
-        mag_ratio=good,
-        hagl_ratio=good,
-        tas_ratio=NAN,
-        pos_horiz_accuracy=0.3 if ready else 14.14,
-        pos_vert_accuracy=0.3 if ready else 4.47,
-    )
-
-
 def system_time(v: Vehicle) -> Payload:
     return pack("SYSTEM_TIME", time_unix_usec=v.epoch_us + v.now_ms * 1000, time_boot_ms=v.now_ms)
 
@@ -426,7 +363,7 @@ def home_position(v: Vehicle) -> Payload | None:
 
 
 def gps_global_origin(v: Vehicle) -> Payload | None:
-    if not located(v):
+    if not v.located:
         return None
     return pack(
         "GPS_GLOBAL_ORIGIN",
@@ -438,25 +375,67 @@ def gps_global_origin(v: Vehicle) -> Payload | None:
 
 
 def autopilot_version(v: Vehicle) -> Payload:
+    version = v.personality.version
     return pack(
         "AUTOPILOT_VERSION",
-        capabilities=px4.CAPABILITIES,
+        capabilities=v.personality.capabilities,
         uid=1,
-        flight_sw_version=0x01100000,
-        middleware_sw_version=0x01100000,
-        os_sw_version=0,
-        board_version=0,
+        flight_sw_version=version.flight,
+        middleware_sw_version=version.middleware,
+        os_sw_version=version.operating_system,
+        board_version=version.board,
         vendor_id=0,
         product_id=0,
-        flight_custom_version=[0] * 8,
+        flight_custom_version=list(version.commit.ljust(8, b"\0")[:8]),
         middleware_custom_version=[0] * 8,
         os_custom_version=[0] * 8,
         uid2=[0] * 18,
     )
 
 
+def protocol_version(_: Vehicle) -> Payload:
+    """MAVLink 2.0, spoken from 1.0 on; laid out here, since pymavlink no longer knows it."""
+    return Payload(300, bytes((217,)), struct.pack("<HHH", 200, 100, 200))
+
+
+def hil_state_quaternion(v: Vehicle) -> Payload:
+    """The true state, without any sensor's or estimator's error."""
+    x, y, z = v.position()
+    vx, vy, vz = (int16(speed * 100.0) for speed in vector(v.body.velocity))
+    p, q, r = vector(v.body.rates)
+    ax, ay, az = (int16(force / GRAVITY * 1000.0) for force in vector(v.body.specific_force))
+    latitude, longitude = v.origin.globe(x, y)
+    airspeed = min(round(float(np.linalg.norm(v.body.velocity)) * 100.0), 65535)
+    return pack(
+        "HIL_STATE_QUATERNION",
+        time_usec=v.now_ms * 1000,
+        attitude_quaternion=v.body.attitude.tolist(),
+        rollspeed=p,
+        pitchspeed=q,
+        yawspeed=r,
+        lat=round(latitude * 1e7),
+        lon=round(longitude * 1e7),
+        alt=round((v.origin.altitude - z) * 1000.0),
+        vx=vx,
+        vy=vy,
+        vz=vz,
+        ind_airspeed=airspeed,
+        true_airspeed=airspeed,
+        xacc=ax,
+        yacc=ay,
+        zacc=az,
+    )
+
+
 def mission_current(v: Vehicle) -> Payload:
-    return pack("MISSION_CURRENT", seq=0, total=65535, mission_state=1, mission_mode=0)
+    """mission_state: 2 not begun, 3 flown, 4 paused, 5 done; mission_mode: 1 in mission mode, 2 in another."""
+    plans = v.commander.plans
+    if not plans.mission:  # as recorded
+        return pack("MISSION_CURRENT", seq=0, total=65535, mission_state=0, mission_mode=0)
+    flown = v.commander.armed and v.commander.in_mission
+    state = 5 if plans.finished else 3 if flown else 4 if plans.begun else 2
+    mode = 1 if v.commander.in_mission else 2
+    return pack("MISSION_CURRENT", seq=plans.current, total=len(plans.mission), mission_state=state, mission_mode=mode)
 
 
 MESSAGES: dict[str, Callable[[Vehicle], Payload | None]] = {
@@ -479,21 +458,26 @@ MESSAGES: dict[str, Callable[[Vehicle], Payload | None]] = {
         servo_output_raw,
         attitude_target,
         position_target_local_ned,
-        estimator_status,
         system_time,
         home_position,
         gps_global_origin,
         autopilot_version,
         mission_current,
+        protocol_version,
+        hil_state_quaternion,
     )
 }
-"""What can be streamed or requested, by message name."""
+"""What every personality can send, by message name."""
+
+
+TEXT_CHUNK = 50
+"""Bytes of text in one STATUSTEXT."""
 
 
 def statustexts(text: str, severity: int, number: int) -> list[Payload]:
     """A STATUSTEXT in chunks of 50 characters; a full last chunk is followed by an empty one, which ends it."""
     raw = text.encode("ascii", "replace")
-    chunks = [raw[i : i + 50] for i in range(0, len(raw) + 1, 50)]
+    chunks = [raw[i : i + TEXT_CHUNK] for i in range(0, len(raw) + 1, TEXT_CHUNK)]
     return [
         pack("STATUSTEXT", severity=severity, text=chunk, id=number, chunk_seq=sequence)
         for sequence, chunk in enumerate(chunks)

@@ -2,7 +2,7 @@
 
 from sitl.frames import Message, pack
 from sitl.link import Link
-from sitl.telemetry import Vehicle
+from sitl.vehicle import Vehicle
 
 
 def timesync(v: Vehicle, link: Link, message: Message) -> None:

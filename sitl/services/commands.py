@@ -1,32 +1,21 @@
 """The command protocol: COMMAND_LONG, COMMAND_INT and SET_MODE, each answered with COMMAND_ACK at once.
 
-A handler returns the result, or None where PX4 does not answer at all.
+A handler returns the result, or None where the autopilot does not answer at all.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from sitl.commander import Result
 from sitl.frames import Message, name_of, pack
 from sitl.link import Link
-from sitl.px4 import STICK_MAIN_MODES, Mode
-from sitl.telemetry import MESSAGES, Vehicle
+from sitl.personality import Result
+from sitl.services import goto, modes
+from sitl.services.command import Command, from_int, from_long
+from sitl.vehicle import Vehicle
 
 FORCE = 21196.0
 """COMPONENT_ARM_DISARM.param2 that overrides the checks."""
 HOME_ALTITUDE_MAX_M = 20_000.0
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command whichever way it came; x, y are degrees and z metres."""
-
-    number: int
-    p: tuple[float, float, float, float]
-    x: float
-    y: float
-    z: float
 
 
 def arm_disarm(v: Vehicle, _: Link, command: Command) -> Result | None:
@@ -35,23 +24,12 @@ def arm_disarm(v: Vehicle, _: Link, command: Command) -> Result | None:
         return v.commander.arm(force)
     if command.p[0] == 0.0:
         return v.commander.disarm(force)
-    return None
+    return v.personality.answers.bad_arm_value
 
 
 def do_set_mode(v: Vehicle, _: Link, command: Command) -> Result:
     _base, main, sub, _p4 = command.p
-    return choose_mode(v, main, sub)
-
-
-def choose_mode(v: Vehicle, main: float, sub: float) -> Result:
-    """Mode by PX4's main and sub mode numbers."""
-    if main in STICK_MAIN_MODES:
-        v.commander.say("Mode needs manual control, and there is none", 2)
-        return Result.TEMPORARILY_REJECTED
-    for mode in Mode:
-        if mode.value[0] == main and (mode.value[1] == sub or main != 4):
-            return v.commander.set_mode(mode)
-    return Result.UNSUPPORTED
+    return v.commander.set_mode(v.personality.mode_number(main, sub))
 
 
 def takeoff(v: Vehicle, _: Link, command: Command) -> Result:
@@ -59,15 +37,15 @@ def takeoff(v: Vehicle, _: Link, command: Command) -> Result:
 
 
 def land(v: Vehicle, _: Link, command: Command) -> Result:
-    return v.commander.set_mode(Mode.LAND)
+    return v.commander.land()
 
 
 def return_to_launch(v: Vehicle, _: Link, command: Command) -> Result:
-    return v.commander.set_mode(Mode.RTL)
+    return v.commander.return_home()
 
 
 def mission_start(v: Vehicle, _: Link, command: Command) -> Result:
-    return v.commander.set_mode(Mode.MISSION)
+    return v.commander.start_mission()
 
 
 def set_home(v: Vehicle, _: Link, command: Command) -> Result:
@@ -86,9 +64,11 @@ def request_message(v: Vehicle, link: Link, command: Command) -> Result:
     name = name_of(int(number)) if math.isfinite(number) else None
     if name == "MESSAGE_INTERVAL":
         return get_message_interval(v, link, Command(0, (command.p[1], 0.0, 0.0, 0.0), 0.0, 0.0, 0.0))
-    if name not in MESSAGES:
-        return Result.DENIED
-    payload = MESSAGES[name](v)
+    if name == "AVAILABLE_MODES":
+        return modes.available_modes(v, link, command.p[1])
+    if name is None or name not in v.personality.messages:
+        return v.personality.answers.unknown_message
+    payload = v.personality.messages[name](v)
     if payload is None:
         return Result.TEMPORARILY_REJECTED
     link.send(payload)
@@ -98,23 +78,23 @@ def request_message(v: Vehicle, link: Link, command: Command) -> Result:
 def set_message_interval(v: Vehicle, link: Link, command: Command) -> Result:
     number, interval_us = command.p[:2]
     name = name_of(int(number)) if math.isfinite(number) else None
-    if name not in MESSAGES or not math.isfinite(interval_us):
-        return Result.FAILED
+    if name is None or name not in v.personality.messages or not math.isfinite(interval_us):
+        return v.personality.answers.unknown_interval
     link.set_interval(name, interval_us, v.now_ms)
     return Result.ACCEPTED
 
 
 def get_message_interval(v: Vehicle, link: Link, command: Command) -> Result:
     name = name_of(int(command.p[0])) if math.isfinite(command.p[0]) else None
-    if name not in MESSAGES:
-        return Result.DENIED
+    if name is None or name not in v.personality.messages:
+        return v.personality.answers.unknown_message
     link.send(pack("MESSAGE_INTERVAL", message_id=int(command.p[0]), interval_us=link.interval_us(name)))
     return Result.ACCEPTED
 
 
 def _send(name: str) -> Callable[[Vehicle, Link, Command], Result]:
     def send(v: Vehicle, link: Link, command: Command) -> Result:
-        payload = MESSAGES[name](v)
+        payload = v.personality.messages[name](v)
         if payload is None:
             return Result.TEMPORARILY_REJECTED
         link.send(payload)
@@ -128,13 +108,19 @@ HANDLERS: dict[int, Callable[[Vehicle, Link, Command], Result | None]] = {
     21: land,
     22: takeoff,
     176: do_set_mode,
+    178: goto.do_change_speed,
     179: set_home,
+    192: goto.do_reposition,
+    193: goto.do_pause_continue,
+    207: goto.do_fence_enable,
+    224: goto.do_set_mission_current,
     300: mission_start,
     400: arm_disarm,
     410: _send("HOME_POSITION"),
     510: get_message_interval,
     511: set_message_interval,
     512: request_message,
+    519: _send("PROTOCOL_VERSION"),
     520: _send("AUTOPILOT_VERSION"),
 }
 """By MAV_CMD number; every other command is UNSUPPORTED."""
@@ -163,16 +149,15 @@ def acknowledge(link: Link, message: Message, number: int, result: Result) -> No
 
 
 def command_long(v: Vehicle, link: Link, message: Message) -> None:
-    p = (message.param1, message.param2, message.param3, message.param4)
-    answer(v, link, message, Command(message.command, p, message.param5, message.param6, message.param7))
+    answer(v, link, message, from_long(message))
 
 
 def command_int(v: Vehicle, link: Link, message: Message) -> None:
-    p = (message.param1, message.param2, message.param3, message.param4)
-    answer(v, link, message, Command(message.command, p, message.x * 1e-7, message.y * 1e-7, message.z))
+    answer(v, link, message, from_int(message))
 
 
 def set_mode(v: Vehicle, link: Link, message: Message) -> None:
-    """SET_MODE is DO_SET_MODE in an older dress, and acknowledged as such."""
-    result = choose_mode(v, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
-    acknowledge(link, message, 176, result)
+    """SET_MODE is DO_SET_MODE in an older dress; PX4 acknowledges it as such."""
+    result = v.commander.set_mode(message.custom_mode)
+    if v.personality.answers.set_mode:
+        acknowledge(link, message, 176, result)

@@ -1,15 +1,16 @@
 """The parameter protocol: PARAM_REQUEST_READ, PARAM_SET, PARAM_REQUEST_LIST -> PARAM_VALUE.
 
-Integers travel bytewise in the float, as in PX4. An unknown name is answered with silence; a value that is not
+An unknown name is answered with silence; a value that is not
 allowed changes nothing and is answered with the value in force.
 """
 
+import math
 import struct
 
 from sitl.frames import Message, pack
 from sitl.link import Link
 from sitl.parameters import ParameterError, from_wire, to_wire
-from sitl.telemetry import Vehicle
+from sitl.vehicle import Vehicle
 
 PER_TICK = 10
 """Values sent per tick while a list is under way: about PX4's 1000 per second."""
@@ -24,7 +25,7 @@ def name_in(message: Message) -> str:
 def send_value(v: Vehicle, link: Link, index: int) -> None:
     """PARAM_VALUE of the parameter at an index."""
     parameter = v.parameters.parameter(v.parameters.names[index])
-    (as_float,) = struct.unpack("<f", to_wire(parameter, v.parameters[parameter.name]))
+    (as_float,) = struct.unpack("<f", to_wire(parameter, v.parameters[parameter.name], v.personality.integers_bytewise))
     link.send(
         pack(
             "PARAM_VALUE",
@@ -54,9 +55,13 @@ def param_set(v: Vehicle, link: Link, message: Message) -> None:
         return
     parameter = v.parameters.parameter(name)
     try:
-        if message.param_type != parameter.mav_type:
+        bytewise = v.personality.integers_bytewise
+        if bytewise and message.param_type != parameter.mav_type:
             raise ParameterError(f"parameter {name}: type {message.param_type} is not {parameter.mav_type}")
-        v.parameters.set(name, from_wire(parameter, struct.pack("<f", message.param_value)))
+        value = from_wire(parameter, struct.pack("<f", message.param_value), bytewise)
+        if parameter.integer and math.isfinite(value):
+            value = round(value)  # ArduPilot casts whatever comes
+        v.parameters.set(name, value)
     except ParameterError as error:
         v.commander.say(str(error), 4)
     send_value(v, link, v.parameters.names.index(name))

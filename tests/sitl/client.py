@@ -6,16 +6,21 @@ for a process to start.
 
 import math
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-from pymavlink.dialects.v20 import development as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.autopilot import Autopilot
 from sitl.link import Link
+from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
-from sitl.px4 import COMPANION_RATES_HZ, GCS_RATES_HZ
+from sitl.personality import Personality
+from sitl.px4.personality import PX4
+from sitl.px4.streams import COMPANION_RATES_HZ
+from sitl.signing import Signing
+from sitl.udp import UdpPort
 from tests.sitl.process import SitlProcess, free_udp_port
 
 NAN = math.nan
@@ -33,6 +38,8 @@ class Client:
         self.udp.setblocking(False)
         self.to = ("127.0.0.1", to)
         self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.vehicle_system = 1
+        """Whose messages count as `latest`; others' are forwarded to us too."""
         self.time_ms = 0
         self.messages: list = []
         self.times: list[int] = []
@@ -66,7 +73,8 @@ class Client:
             message = self.mav.decode(bytearray(raw))
             self.messages.append(message)
             self.times.append(self.time_ms)
-            self.latest[message.get_type()] = message
+            if message.get_srcSystem() == self.vehicle_system:
+                self.latest[message.get_type()] = message
 
     def until(self, condition: Callable[[], bool], limit_s: float, each: Callable[[], None] | None = None) -> float:
         """Advance by 50 ms (calling `each` before) until the condition holds; vehicle time taken [s]."""
@@ -106,9 +114,10 @@ class Client:
     def texts(self) -> list[str]:
         """STATUSTEXTs so far, chunks joined, PX4's tab removed."""
         whole: dict[int, str] = {}
-        for message in self.messages:
+        for position, message in enumerate(self.messages):
             if message.get_type() == "STATUSTEXT":
-                whole[message.id] = whole.get(message.id, "") + message.text
+                number = message.id or -position  # without an id it stands alone
+                whole[number] = whole.get(number, "") + message.text
         return [text.rstrip("\t") for text in whole.values()]
 
     @property
@@ -189,20 +198,34 @@ SLOW_RATES_HZ = {name: min(rate, 10.0) for name, rate in COMPANION_RATES_HZ.item
 class Direct(Client):
     """Flies an autopilot in this process, over its real UDP links."""
 
-    def __init__(self, rates_hz: dict[str, float] = SLOW_RATES_HZ, seed: int = 0, **parameters: float) -> None:
-        p = Parameters()
+    def __init__(
+        self,
+        rates_hz: Mapping[str, float] = SLOW_RATES_HZ,
+        seed: int = 0,
+        personality: Personality = PX4,
+        **parameters: float,
+    ) -> None:
+        p = Parameters(personality.table)
         for name, value in parameters.items():
             p.set(name, value)
         port = free_udp_port()
-        self.link = Link("companion", 0, port, rates_hz, 1)
-        self.gcs = Link("gcs", 0, free_udp_port(), GCS_RATES_HZ, 1, talks_first=False)
-        self.autopilot = Autopilot(p, Origin(), (self.link, self.gcs), seed, 0)
-        super().__init__(port, self.link.port)
+        signing = Signing()
+        companion = UdpPort(
+            "companion", 0, port, lambda put, ms: Link("companion", rates_hz, 1, signing, put, now_ms=ms)
+        )
+        self.gcs = UdpPort(
+            "gcs",
+            0,
+            free_udp_port(),
+            lambda put, ms: Link("gcs", personality.gcs_rates_hz, 1, signing, put, talks_first=False, now_ms=ms),
+        )
+        self.link = companion.configured
+        self.autopilot = Autopilot(personality, p, Origin(), Network((companion, self.gcs), 1, signing), seed, 0)
+        super().__init__(port, companion.port)
 
     def close(self) -> None:
         super().close()
-        self.link.close()
-        self.gcs.close()
+        self.autopilot.network.close()
 
     def step(self, ms: int) -> int:
         before = self.link.sent

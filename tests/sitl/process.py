@@ -23,6 +23,8 @@ class SitlProcess:
     """UDP: as 18570."""
     control: int
     """TCP: the control socket."""
+    tcp: int
+    """TCP: MAVLink, as 5760; 0 when it serves none."""
     process: subprocess.Popen[str]
 
 
@@ -54,10 +56,12 @@ def sitl_process(
         ports = {}
         while "control" not in ports:
             line = process.stdout.readline()
-            match = re.fullmatch(r"(companion|gcs|control) 127\.0\.0\.1:(\d+).*\n", line)
+            match = re.fullmatch(r"(companion|gcs|tcp|control) 127\.0\.0\.1:(\d+).*\n", line)
             assert match, f"the SITL did not start: {line!r}"
             ports[match[1]] = int(match[2])
-        yield SitlProcess(companion, ports["companion"], gcs, ports["gcs"], ports["control"], process)
+        yield SitlProcess(
+            companion, ports["companion"], gcs, ports["gcs"], ports["control"], ports.get("tcp", 0), process
+        )
     finally:
         process.terminate()
         try:

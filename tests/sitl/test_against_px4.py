@@ -10,7 +10,8 @@ import pytest
 from sitl.control import Setpoint
 from sitl.flight_model import NAN3, FlightModel
 from sitl.parameters import Parameters
-from sitl.vehicle_setup import gains, rotorcraft
+from sitl.px4.parameters import TABLE
+from sitl.px4.vehicle_setup import gains, rotorcraft
 
 DATA = Path(__file__).parent / "data"
 
@@ -23,7 +24,7 @@ def flight():
     times = np.array([float(row["boot_s"]) for row in rows])
     asked = np.array([[float(row[f"cmd_v{axis}"]) for axis in "ned"] for row in rows])
     recorded = np.array([[float(row[f"v{axis}"]) for axis in "ned"] for row in rows])
-    p = Parameters()
+    p = Parameters(TABLE)
     model = FlightModel(gains(p), rotorcraft(p))
     model.body.position[2] = -10.0
     model.body.motors[:] = model.gains.hover_thrust

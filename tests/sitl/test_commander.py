@@ -10,7 +10,7 @@ import socket
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
-from sitl.px4 import COMPANION_RATES_HZ
+from sitl.px4.streams import COMPANION_RATES_HZ
 from tests.sitl.client import direct
 
 NAN = math.nan
@@ -169,17 +169,6 @@ def test_clock_services(vehicle):
     assert vehicle.latest["TIMESYNC"].tc1 > 0
     ping = vehicle.latest["PING"]
     assert (ping.time_usec, ping.seq, ping.target_system, ping.target_component) == (42, 7, 240, 191)
-
-
-def test_missions_are_empty_and_uploads_refused(vehicle):
-    vehicle.boot()
-    vehicle.send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
-    vehicle.advance()
-    assert vehicle.latest["MISSION_COUNT"].count == 0
-    for count, result in ((3, UNSUPPORTED), (0, ACCEPTED)):
-        vehicle.send(mavlink.MAVLink_mission_count_message(1, 1, count, 0))
-        vehicle.advance()
-        assert vehicle.latest["MISSION_ACK"].type == result
 
 
 # Takeoff and landing
@@ -484,16 +473,15 @@ def test_low_battery(action, mode):
 
 def test_battery_drains_by_the_papers_power_model(hovering):
     """Hover: 192.5 W for the paper's wing (PAPER.md 5) out of BAT1_CAPACITY."""
-    p = hovering.commander._p
     battery = hovering.commander.battery
     hovering.fly(5)
     before = battery.used_j
     hovering.fly(10)
     assert battery.used_j - before == pytest.approx(1925, rel=0.01)
-    assert battery.capacity_j(p) == pytest.approx(5.0 * 3600 * 15.3)
+    assert battery.pack.capacity_j == pytest.approx(5.0 * 3600 * 15.3)
     status = hovering.latest["SYS_STATUS"]
     assert status.voltage_battery / 1000 * status.current_battery / 100 == pytest.approx(192.5, rel=0.01)
-    assert status.battery_remaining == math.ceil(100 * battery.remaining(p))
+    assert status.battery_remaining == math.ceil(100 * battery.remaining)
 
 
 # Links

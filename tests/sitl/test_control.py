@@ -20,10 +20,11 @@ from sitl.control import (
 from sitl.flight_model import NAN3, FlightModel
 from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, body_at_rest
-from sitl.vehicle_setup import gains, rotorcraft
+from sitl.px4.parameters import TABLE
+from sitl.px4.vehicle_setup import gains, rotorcraft
 
 NAN = math.nan
-PX4 = gains(Parameters())
+PX4 = gains(Parameters(TABLE))
 
 
 def velocity(*v: float, yaw: float = 0.0) -> Setpoint:
@@ -31,7 +32,7 @@ def velocity(*v: float, yaw: float = 0.0) -> Setpoint:
 
 
 def hovering(**parameters: float) -> FlightModel:
-    p = Parameters()
+    p = Parameters(TABLE)
     for name, value in parameters.items():
         p.set(name, value)
     model = FlightModel(gains(p), rotorcraft(p))

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
 from sitl.frames import frame, pack, unpack
-from sitl.telemetry import MESSAGES
+from sitl.px4.personality import PX4
 
 
 def test_every_telemetry_message_reads_back(hovering):
     """All that can be streamed or requested decodes with pymavlink, with the state's values in it."""
-    for name, build in MESSAGES.items():
+    for name, build in PX4.messages.items():
         payload = build(hovering.autopilot.vehicle)
         message = mavlink.MAVLink(None).decode(bytearray(frame(payload, 7, 1, 1)))
         assert message.get_type() == name

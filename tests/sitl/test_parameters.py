@@ -8,15 +8,16 @@ import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
 from sitl.parameters import INT32, ParameterError, Parameters, from_wire, to_wire
+from sitl.px4.parameters import TABLE
 
 DATA = Path(__file__).parent / "data"
 OURS = {"BAT1_CAPACITY", "COM_LOW_BAT_ACT"}
-"""Where the default is not the recorded value, with the reason in sitl/parameters.py."""
+"""Where the default is not the recorded value, with the reason in sitl/px4/parameters.py."""
 
 
 def test_names_types_and_defaults_are_px4s():
     recorded = json.loads((DATA / "px4_params.json").read_text())
-    p = Parameters()
+    p = Parameters(TABLE)
     assert len(p) >= 60
     for parameter in p:
         value, mav_type = recorded[parameter.name]
@@ -38,7 +39,7 @@ def test_names_types_and_defaults_are_px4s():
     ],
 )
 def test_bad_assignments_name_the_parameter_and_what_is_allowed(assignment, words):
-    p = Parameters()
+    p = Parameters(TABLE)
     with pytest.raises(ParameterError) as error:
         p.assign(assignment)
     assert all(word in str(error.value) for word in words)
@@ -46,11 +47,11 @@ def test_bad_assignments_name_the_parameter_and_what_is_allowed(assignment, word
 
 
 def test_wire_form_is_bytewise():
-    p = Parameters()
+    p = Parameters(TABLE)
     capacity, action = p.parameter("BAT1_CAPACITY"), p.parameter("COM_OBL_RC_ACT")
-    assert to_wire(action, 4) == b"\x04\0\0\0"
-    assert to_wire(capacity, 5000.0) == struct.pack("<f", 5000.0)
-    assert from_wire(action, to_wire(action, 3)) == 3
+    assert to_wire(action, 4, bytewise=True) == b"\x04\0\0\0"
+    assert to_wire(capacity, 5000.0, bytewise=True) == struct.pack("<f", 5000.0)
+    assert from_wire(action, to_wire(action, 3, bytewise=True), bytewise=True) == 3
 
 
 def bytewise(value: int) -> float:
@@ -78,10 +79,10 @@ def test_list_is_complete_and_counted(vehicle):
     got = values(vehicle)
     assert [m.param_index for m in got] == list(range(len(got)))
     assert {m.param_count for m in got} == {len(got)}
-    p = Parameters()
+    p = Parameters(TABLE)
     for m in got:
         raw = struct.pack("<f", m.param_value)
-        assert from_wire(p.parameter(m.param_id), raw) == p[m.param_id]
+        assert from_wire(p.parameter(m.param_id), raw, bytewise=True) == p[m.param_id]
 
 
 def test_set_acts_and_reads_back(vehicle):
@@ -96,7 +97,7 @@ def test_set_acts_and_reads_back(vehicle):
 
 def test_read_by_index(vehicle):
     read(vehicle, "", 3)
-    assert values(vehicle)[-1].param_id == Parameters().names[3]
+    assert values(vehicle)[-1].param_id == Parameters(TABLE).names[3]
 
 
 def test_unknown_name_is_silence(vehicle):

@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, body_at_rest, heading, rotate, rotate_back, step_body, turn
-from sitl.vehicle_setup import rotorcraft
+from sitl.px4.parameters import TABLE
+from sitl.px4.vehicle_setup import rotorcraft
 
 DT = 0.004
-SIH = rotorcraft(Parameters())
+SIH = rotorcraft(Parameters(TABLE))
 finite = st.floats(-1.0, 1.0)
 
 

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from typer.testing import CliRunner
 
 from sitl.cli import sitl as sitl_command
-from sitl.px4 import COMPANION_RATES_HZ
+from sitl.px4.streams import COMPANION_RATES_HZ
 from tests.sitl.client import Lockstep, direct, lockstep
 from tests.sitl.process import free_udp_port, sitl_process
 
@@ -52,8 +52,10 @@ def test_control_socket():
         client.receive()
         for bad in ("advance", "advance 0", "advance -5", "advance 1.5", "advance 9999999", "jump 3", "", "hello you"):
             assert client.ask(bad).startswith("error "), bad
-        with socket.create_connection(("127.0.0.1", sitl.control)) as second:
-            assert second.makefile().readline().startswith("error ")
+        with socket.create_connection(("127.0.0.1", sitl.control)) as second, second.makefile() as replies:
+            second.sendall(b"advance 50\nhello\n")
+            assert replies.readline() == "error advance: the clock belongs to another control client\n"
+            assert replies.readline() == "aerialstar-sitl 1 1000\n"
         before = len(client.messages)
         for _ in range(100):
             frames = client.advance(50)
@@ -143,7 +145,8 @@ def test_listens_on_loopback_only_and_ends_by_sigint():
             for line in (process / "net" / table).read_text().splitlines()[1:]
         ]
         addresses = [row[1].split(":")[0] for row in rows if row[9] in inodes]
-        assert addresses == ["0100007F"] * 3
+        assert len(addresses) == 5, "a control socket, and for each link one for everybody and one for its peer"
+        assert set(addresses) == {"0100007F"}
         sitl.process.send_signal(signal.SIGINT)
         assert sitl.process.wait(10) == 0
 
@@ -157,6 +160,9 @@ def test_listens_on_loopback_only_and_ends_by_sigint():
         (["--home", "47,8"], ["--home", "47,8", "LAT,LON,ALT"]),
         (["--home", "99,8,0"], ["--home", "-85 to 85"]),
         (["--system-id", "0"], ["--system-id"]),
+        (["--system-id", "249", "--vehicles", "3"], ["--vehicles", "3 vehicles", "249", "250"]),
+        (["--vehicles", "0"], ["--vehicles"]),
+        (["--signing-key", "/nowhere/key"], ["--signing-key", "/nowhere/key", "cannot be read"]),
     ],
 )
 def test_bad_options_are_refused(arguments, words):
@@ -186,17 +192,23 @@ def test_help_needs_no_heavy_imports():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout == b"\n"
 
 
-def test_another_client_may_come_after_the_first(vehicle):
-    """The learned peer is forgotten after 10 s of silence, so that a passive newcomer on the usual port hears it."""
+def test_another_client_may_come_beside_the_first(vehicle):
+    """Everybody who speaks on a link is served, and forgotten after 10 s of silence; the configured peer never is."""
     vehicle.fly(2)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", free_udp_port()))
         other.setblocking(False)
         other.sendto(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(vehicle.mav), vehicle.to)
-        vehicle.fly(1)
-        assert other.recv(65535)
-    seen = len(vehicle.messages)
-    vehicle.fly(5)
-    assert len(vehicle.messages) == seen
-    vehicle.fly(6)
-    assert len(vehicle.messages) > seen
+        seen = len(vehicle.messages)
+        vehicle.fly(11)
+        assert len(vehicle.messages) > seen + 500
+        while True:
+            try:
+                assert other.recv(65535)
+            except BlockingIOError:
+                break
+        seen = len(vehicle.messages)
+        vehicle.fly(2)
+        assert len(vehicle.messages) > seen + 100
+        with pytest.raises(BlockingIOError):
+            other.recv(65535)

@@ -1,7 +1,8 @@
-"""What the flight model needs, read from the parameters."""
+"""What the flight model and the battery need, read from PX4's parameters."""
 
 import math
 
+from sitl.battery import Pack
 from sitl.control import Gains
 from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, Rotorcraft
@@ -19,6 +20,17 @@ def rotorcraft(p: Parameters) -> Rotorcraft:
         motor_lag=p["SIH_T_TAU"],
         drag=p["SIH_KDV"],
         angular_drag=p["SIH_KDW"],
+    )
+
+
+def pack(p: Parameters) -> Pack:
+    """The battery of the BAT1_* and BAT_* parameters."""
+    return Pack(
+        cells=int(p["BAT1_N_CELLS"]),
+        capacity_mah=p["BAT1_CAPACITY"],
+        full_v=p["BAT1_V_CHARGED"],
+        empty_v=p["BAT1_V_EMPTY"],
+        thresholds=(p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"]),
     )
 
 

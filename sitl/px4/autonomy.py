@@ -8,13 +8,10 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sitl.control import Setpoint
 from sitl.parameters import Parameters
 from sitl.physics import Body, heading
-from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_point
+from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_point, turned, vector
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
@@ -34,11 +31,6 @@ class Autonomous(Protocol):
     def landing(self) -> bool: ...
 
     def step(self, body: Body, dt: float) -> Setpoint: ...
-
-
-def vector(array: NDArray[np.float64]) -> Vec3:
-    """A float64 [3] array as three floats."""
-    return float(array[0]), float(array[1]), float(array[2])
 
 
 def limits(p: Parameters) -> Limits:
@@ -68,11 +60,11 @@ class Loiter:
         """`target` is the place to hold; None: where braking ends."""
         self._limits = limits(p)
         self._reference = Reference(vector(body.position), vector(body.velocity))
-        self._target = target or stopping_point(self._reference, self._limits)
+        self.target = target or stopping_point(self._reference, self._limits)
         self._yaw = heading(body.attitude)
 
     def step(self, body: Body, dt: float) -> Setpoint:
-        self._reference = approach(self._reference, self._target, vector(body.position), self._limits, dt)
+        self._reference = approach(self._reference, self.target, vector(body.position), self._limits, dt)
         return tracking(self._reference, self._yaw)
 
 
@@ -181,7 +173,9 @@ class Return:
     def landing(self) -> bool:
         return self._phase in ("descend", "wait", "land")
 
-    def _target(self) -> Vec3:
+    @property
+    def target(self) -> Vec3:
+        """Where it flies to now."""
         if self._phase == "climb":
             return self._climb_target
         if self._phase == "cruise":
@@ -189,7 +183,7 @@ class Return:
         return (self._home[0], self._home[1], max(self._cruise_down, self._home[2] - self._p["RTL_DESCEND_ALT"]))
 
     def _next_phase(self, body: Body, dt: float) -> None:
-        target = self._target()
+        target = self.target
         level = abs(body.position[2] - target[2]) < self._p["NAV_MC_ALT_RAD"]
         there = math.dist(vector(body.position)[:2], target[:2]) < self._p["NAV_ACC_RAD"]
         if self._phase == "climb" and level:
@@ -210,19 +204,13 @@ class Return:
         if self._land is not None:
             return self._land.step(body, dt)
         position = vector(body.position)
-        self._reference = approach(self._reference, self._target(), position, self._limits, dt)
+        self._reference = approach(self._reference, self.target, position, self._limits, dt)
         if self._phase != "climb":
             north, east = self._home[0] - position[0], self._home[1] - position[1]
             far = self._phase == "cruise" and math.hypot(north, east) > self._p["NAV_ACC_RAD"]
             goal = math.atan2(east, north) if far else self._home_yaw
             self._yaw = turned(self._yaw, goal, math.radians(self._p["MPC_YAWRAUTO_MAX"]) * dt)
         return tracking(self._reference, self._yaw)
-
-
-def turned(yaw: float, goal: float, step: float) -> float:
-    """Yaw moved towards goal by at most `step`, the shorter way round [rad]."""
-    error = math.remainder(goal - yaw, 2.0 * math.pi)
-    return math.remainder(yaw + min(max(error, -step), step), 2.0 * math.pi)
 
 
 class Descend:

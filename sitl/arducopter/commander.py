@@ -1,0 +1,521 @@
+"""ArduCopter's commander: arming, flight modes, failsafes and landed state, as ArduCopter was seen to behave.
+
+Time is vehicle time in milliseconds since boot; nothing here waits. What is to be told to the ground goes to `say`.
+"""
+
+import math
+from collections.abc import Callable
+
+from sitl.arducopter import arming, fence, guided
+from sitl.arducopter.autonomy import Destination, Land, Level, Return, Takeoff, Velocity
+from sitl.arducopter.guided import Order, understood
+from sitl.arducopter.missions import Pilot, manners
+from sitl.arducopter.modes import ARMABLE, Mode, base_mode, mode_of
+from sitl.arducopter.sticks import Attitude, LeanSticks, LoiterSticks, attitude_setpoint
+from sitl.arducopter.vehicle_setup import pack, shape
+from sitl.battery import Battery
+from sitl.control import Setpoint
+from sitl.flight_model import NOTHING, FlightModel
+from sitl.geofence import Breach, bent
+from sitl.mission_flight import MissionFlight
+from sitl.origin import Origin
+from sitl.parameters import Parameters
+from sitl.personality import CRITICAL, INFO, WARNING, Landed, Result, State
+from sitl.physics import heading
+from sitl.plan import PLACES, TAKEOFF, Plans
+from sitl.reference import Vec3, vector
+from sitl.stick_input import StickInput
+from sitl.targets import AttitudeTarget, PositionTarget, Sticks
+from sitl.targets import Destination as Goal
+
+LIFT_OFF_MS = 1350
+"""From a takeoff until the motors carry: spool-up and TKOFF_SLEW_TIME, as recorded."""
+LANDED_S = 1.6
+"""Contact until the landing is believed, as recorded."""
+DISARM_LANDED_MS = 440
+"""From a landing in RTL or LAND until the motors stop, as recorded."""
+FENCE_CHECK_MS = 200
+NOTICE = 5
+RAISED = -0.9
+"""Throttle stick that is not at its bottom."""
+
+ALLOW_ARMING, ALLOW_TAKEOFF = 1, 2
+"""AUTO_OPTIONS: AUTO may be armed in, and takes off without the throttle being raised."""
+
+ByPilot = Attitude | LoiterSticks | LeanSticks
+Leg = Velocity | Level | Takeoff | Destination | Land | Return | MissionFlight | ByPilot
+
+
+class Commander:
+    """The vehicle's decisions. `step` is called once per tick, before the physics."""
+
+    def __init__(self, p: Parameters, model: FlightModel, origin: Origin, say: Callable[[str, int], None]) -> None:
+        """`say(text, severity)` sends a STATUSTEXT."""
+        self._p = p
+        self._body = model.body
+        self._controller = model.controller
+        self._origin = origin
+        self._say = say
+        self.battery = Battery(pack(p))
+        self.plans = Plans(first=1)
+        self.fence = fence.FenceOfParameters(p, self.plans, origin)
+        self.breach = Breach.NONE
+        self.breaches = 0
+        self.now_ms = 0
+        self.armed = False
+        self.flying = False
+        self.has_flown = False
+        self.landed = Landed.ON_GROUND
+        self.mode = Mode.STABILIZE
+        self.failsafe = ""
+        """What is wrong: `battery`, `fence`, or nothing."""
+        self.home: Vec3 | None = None
+        self.news: list[str] = []
+        """Messages to send to everybody at once, by name."""
+        self.order: Order | None = None
+        """What GUIDED flies; None until a setpoint came."""
+        self._order_ms = 0
+        self._leg: Leg = Velocity(self._body, p)
+        self._told_ms = 0
+        """Until when the texts of the boot have been said."""
+        self.sticks = StickInput()
+        self._auto_armed = False
+        """Whether AUTO may leave the ground: by MISSION_START, a raised throttle, or once flown."""
+        self._mission_changes = 0
+        self._idle_ms = 0
+        """Since when the vehicle stands armed with nothing to do."""
+        self._takeoff_ms: int | None = None
+        """When a takeoff was asked for, until it leaves the ground."""
+        self._battery_level = 0
+        self._fence_due_ms = 0
+        self._pilot = Pilot(
+            self._body, p, origin, home=self._ground, flying=lambda: self.flying, set_home=self.set_home
+        )
+
+    def _ground(self) -> Vec3:
+        return self.home or (0.0, 0.0, 0.0)
+
+    # What a client can ask for
+
+    def arm(self, force: bool = False) -> Result:
+        """Start the motors; every arming check that fails is told. Home becomes where the vehicle stands."""
+        if self.armed:
+            return Result.ACCEPTED
+        reasons = () if force else self.why_not_arm()
+        if reasons:
+            for reason in reasons:
+                self.say(f"Arm: {reason}", CRITICAL)
+            return Result.FAILED
+        self.armed = True
+        self._idle_ms = self.now_ms
+        self.set_home(vector(self._body.position))
+        self.say("Arming motors")
+        self._enter(self.mode)
+        return Result.ACCEPTED
+
+    def why_not_arm(self) -> tuple[str, ...]:
+        """The arming checks that fail now."""
+        if self._p["ARMING_CHECK"]:
+            reasons = arming.failing(self.now_ms)
+            if reasons:
+                return reasons
+            if self.battery.level >= 2 or self.battery.voltage < self._p["BATT_ARM_VOLT"]:
+                return ("Battery 1 below minimum arming voltage",)
+            if self.home is not None and self.fence.now().breach(vector(self._body.position), self.home):
+                return ("Vehicle breaching Fence",)
+        elif self.now_ms < arming.READY_MS:
+            return ("System not initialised",)
+        in_auto = self.mode is Mode.AUTO and int(self._p["AUTO_OPTIONS"]) & ALLOW_ARMING
+        if self.mode not in ARMABLE and not in_auto:
+            return (f"{self.mode.name} mode not armable",)
+        return ()
+
+    def disarm(self, force: bool = False) -> Result:
+        """Stop the motors; in the air only by force."""
+        if not self.armed:
+            return Result.ACCEPTED
+        if self.flying and not force:
+            return Result.FAILED
+        self._stop()
+        return Result.ACCEPTED
+
+    def takeoff(self, altitude: float) -> Result:
+        """In GUIDED, armed and standing: up to an altitude above home [m]."""
+        if not self.armed or self.flying or self.mode is not Mode.GUIDED or not altitude > 0.0:
+            return Result.FAILED
+        north, east, _ = vector(self._body.position)
+        down = self._ground()[2] - altitude
+        if not math.isfinite(down) or self._outside((north, east, down)):
+            return Result.FAILED
+        self.order = None
+        self._leg = Takeoff(self._body, self._p, down)
+        self._takeoff_ms = self.now_ms
+        return Result.ACCEPTED
+
+    def land(self) -> Result:
+        return self._choose(Mode.LAND)
+
+    def return_home(self) -> Result:
+        return self._choose(Mode.RTL)
+
+    def start_mission(self) -> Result:
+        """MISSION_START: AUTO, which takes off if armed."""
+        taken = self._choose(Mode.AUTO)
+        self._auto_armed = self._auto_armed or (taken is Result.ACCEPTED and self.armed)
+        return taken
+
+    def set_mode(self, custom_mode: int) -> Result:
+        """FAILED for a number that is no mode, and for AUTO without a mission."""
+        mode = mode_of(custom_mode)
+        if mode is None:
+            self.say(f"No such mode {custom_mode}", WARNING)
+            return Result.FAILED
+        return self._choose(mode)
+
+    def _choose(self, mode: Mode) -> Result:
+        if mode is Mode.AUTO and not self.plans.flyable:
+            self.say("Mode change to AUTO failed: init failed", WARNING)
+            return Result.FAILED
+        if mode is Mode.AUTO and self.armed and not self.flying and not self._begins_with_takeoff():
+            self.say("Auto: Missing Takeoff Cmd", CRITICAL)
+            return Result.FAILED
+        self.failsafe = ""
+        if mode is not self.mode:
+            self._enter(mode)
+        return Result.ACCEPTED
+
+    def _begins_with_takeoff(self) -> bool:
+        """Whether the first place of the mission is a takeoff."""
+        places = [item.command for item in self.plans.mission[self.plans.current :] if item.command in PLACES]
+        return places[:1] == [TAKEOFF]
+
+    def receive_attitude(self, target: AttitudeTarget) -> None:
+        """SET_ATTITUDE_TARGET for GUIDED."""
+        setpoint = attitude_setpoint(target, self._p)
+        if self.mode is Mode.GUIDED and setpoint is not None:
+            self._order_ms = self.now_ms
+            self._takeoff_ms = None
+            self.order = None
+            self._leg = Attitude(setpoint)
+
+    def pilot(self, sticks: Sticks | None, radio: bool) -> None:
+        """Sticks of any source; without them those of the simulated radio stand in the middle."""
+        if sticks is None:
+            self.sticks.give_back()
+        else:
+            self.sticks.receive(sticks, self.now_ms)
+
+    def receive(self, target: PositionTarget) -> None:
+        """A setpoint for GUIDED; what means nothing stops the vehicle. It ends a takeoff, and starts none."""
+        if self.mode is not Mode.GUIDED:
+            return
+        order = understood(target, vector(self._body.position), heading(self._body.attitude))
+        if order.position is not None and self._outside(order.position):
+            return
+        self._follow(order)
+
+    def _follow(self, order: Order) -> None:
+        """Fly an order of GUIDED."""
+        self._order_ms = self.now_ms
+        self._takeoff_ms = None
+        if order.position is None or order.velocity is not None:
+            if not isinstance(self._leg, Velocity):
+                self._leg = Velocity(self._body, self._p)
+            self._leg.place = order.position
+            self._leg.yaw_goal, self._leg.yaw_rate = order.yaw, order.yaw_rate
+        elif self.order is None or self.order.position != order.position:
+            before = self._leg.reference if isinstance(self._leg, Destination) else None
+            self._leg = Destination(self._body, self._p, order.position, order.yaw, nose_first=False)
+            self._leg.reference = before or self._leg.reference
+        self.order = order
+
+    def reposition(self, goal: Goal) -> Result:
+        """DO_REPOSITION: to a place in GUIDED, DENIED outside the fence; without the flag only when in GUIDED."""
+        if not self.flying or (self.mode is not Mode.GUIDED and not goal.flags & 1):
+            return Result.DENIED
+        here = vector(self._body.position)
+        north, east, down = (a if math.isfinite(a) else b for a, b in zip(goal.place, here, strict=True))
+        if self._outside((north, east, down)):
+            return Result.DENIED
+        self._choose(Mode.GUIDED)
+        self.order = Order((north, east, down), None, goal.yaw, 0.0)
+        self._leg = Destination(self._body, self._p, (north, east, down), goal.yaw, speed_cms=goal.speed * 100.0)
+        return Result.ACCEPTED
+
+    def change_speed(self, kind: float, speed: float) -> Result:
+        """DO_CHANGE_SPEED: of the mission under way, horizontal."""
+        if kind not in (0.0, 1.0) or not speed > 0.0:
+            return Result.DENIED
+        self.plans.speed = speed
+        if isinstance(self._leg, MissionFlight):
+            self._leg.set_speed(speed)
+        return Result.ACCEPTED
+
+    def pause(self, hold: bool) -> Result:
+        """DO_PAUSE_CONTINUE: AUTO stays AUTO and brakes, and goes on."""
+        if not isinstance(self._leg, MissionFlight):
+            return Result.FAILED
+        self._leg.pause(hold, self._body)
+        return Result.ACCEPTED
+
+    def enable_fence(self, on: bool) -> Result:
+        self._p.set("FENCE_ENABLE", float(on))
+        return Result.ACCEPTED
+
+    def set_home(self, position_ned: Vec3) -> None:
+        self.home = position_ned
+        self.news += ["GPS_GLOBAL_ORIGIN", "HOME_POSITION"]
+
+    # What telemetry shows
+
+    @property
+    def ready(self) -> bool:
+        return self.armed or not self.why_not_arm()
+
+    @property
+    def in_mission(self) -> bool:
+        return self.mode is Mode.AUTO
+
+    @property
+    def system_status(self) -> State:
+        if self.now_ms < arming.READY_MS:
+            return State.BOOT
+        if self.failsafe:
+            return State.CRITICAL
+        return State.ACTIVE if self.flying else State.STANDBY
+
+    @property
+    def base_mode(self) -> int:
+        booting = 0x08 if self.now_ms < arming.READY_MS else 0
+        return base_mode(self.mode, self.armed) | booting
+
+    @property
+    def custom_mode(self) -> int:
+        return int(self.mode)
+
+    @property
+    def intended_custom_mode(self) -> int:
+        return int(self.mode)
+
+    @property
+    def destination(self) -> Vec3 | None:
+        """The place flown to, if there is one."""
+        if isinstance(self._leg, MissionFlight):
+            return self._leg.place
+        return self._leg.target if isinstance(self._leg, Takeoff | Destination) else None
+
+    @property
+    def target(self) -> tuple[Vec3 | None, Vec3]:
+        """The place and the velocity that GUIDED flies to."""
+        if isinstance(self._leg, Takeoff):
+            return self._leg.target, guided.STILL
+        if self.order is None:
+            return None, guided.STILL
+        return self.order.position, self.order.velocity or guided.STILL
+
+    def say(self, text: str, severity: int = INFO) -> None:
+        self._say(text, severity)
+
+    # One tick
+
+    def step(self, dt: float) -> Setpoint:
+        """Decide what is flown for the coming tick of dt [s]; `flying` tells whether at all."""
+        self._boot()
+        if self.armed:
+            self._watch_battery()
+            self._watch_fence()
+            self._watch_mission()
+            self._watch_sticks()
+            self._watch_ground()
+        setpoint = NOTHING
+        if self.armed:
+            if isinstance(self._leg, Velocity):
+                self._leg.velocity = self._off_the_fence(self._velocity_asked())
+            setpoint = self._leg.step(self._body, dt)
+        velocity = self._body.velocity
+        self.battery.drain(float(velocity[0]), float(velocity[1]), float(velocity[2]), self.flying, dt)
+        return setpoint
+
+    def _boot(self) -> None:
+        """What happens by itself after power-on."""
+        now, before = self.now_ms, self._told_ms
+        self._told_ms = now
+        if now < arming.GPS_MS + 1000:
+            for text in arming.texts_between(before, now):
+                self.say(text, arming.TEXT_SEVERITY)
+            if before < arming.READY_MS <= now and not self.armed:
+                self._enter(Mode.STABILIZE)
+        if self.home is None and now >= arming.HOME_MS:
+            self.set_home(vector(self._body.position))
+            self.say(f"Field Elevation Set: {self._origin.altitude:.0f}m")
+        since = (now - arming.PREARM_MS) // arming.PREARM_PERIOD_MS
+        if not self.armed and since >= 0 and since != (before - arming.PREARM_MS) // arming.PREARM_PERIOD_MS:
+            for reason in self.why_not_arm():
+                if not reason.endswith("mode not armable"):
+                    self.say(f"PreArm: {reason}", CRITICAL)
+
+    def _velocity_asked(self) -> Vec3:
+        """What GUIDED was last asked for; zero once GUID_TIMEOUT has passed without a setpoint."""
+        if self.order is None or self.order.velocity is None:
+            return guided.STILL
+        old = self.now_ms - self._order_ms > self._p["GUID_TIMEOUT"] * 1000.0
+        return guided.STILL if old else self.order.velocity
+
+    # Modes
+
+    def _enter(self, mode: Mode) -> None:
+        if mode is not self.mode:
+            self.mode = mode
+            self.news.append("HEARTBEAT")
+        body, p = self._body, self._p
+        self._takeoff_ms = None
+        self.order = None
+        if mode is Mode.LAND:
+            self._leg = Land(body, p, self._ground()[2])
+        elif mode is Mode.RTL:
+            self._leg = Return(body, p, self._ground())
+        elif mode is Mode.AUTO and self.armed:
+            self._mission_changes = self.plans.mission_changes
+            self._leg = MissionFlight(body, self.plans, manners(p), self._pilot)
+            self._takeoff_ms = self.now_ms
+        elif mode in (Mode.STABILIZE, Mode.ALT_HOLD):
+            self._leg = Level(body)
+        else:
+            self._leg = Velocity(body, p)
+
+    def _stop(self) -> None:
+        self.armed = False
+        self._auto_armed = False
+        self.flying = False
+        self.landed = Landed.ON_GROUND
+        self.failsafe = ""
+        self._takeoff_ms = None
+        self.say("Disarming motors")
+        self.news.append("HEARTBEAT")
+
+    # Leaving and meeting the ground
+
+    def _taking_off(self) -> bool:
+        leg = self._leg
+        if isinstance(leg, MissionFlight):
+            return leg.taking_off
+        return isinstance(leg, Takeoff) and not leg.done
+
+    def _watch_ground(self) -> None:
+        contact = float(self._body.contact_s[0])
+        if not self.flying:
+            self._watch_idle()
+            if isinstance(self._leg, ByPilot) and self._leg.climbs:
+                self.flying = True
+                self._body.contact_s[0] = 0.0
+            if self._mode_waits():
+                self._takeoff_ms = self.now_ms
+            elif self._taking_off() and self._takeoff_ms is not None:
+                self._idle_ms = self.now_ms
+                if self.now_ms - self._takeoff_ms >= LIFT_OFF_MS:
+                    self._takeoff_ms = None
+                    self.flying = True
+                    self._body.contact_s[0] = 0.0
+        elif contact >= LANDED_S and not self._wants_up():
+            self.flying = False
+            self.landed = Landed.ON_GROUND
+            self._idle_ms = self.now_ms
+        elif self._taking_off():
+            self.landed = Landed.TAKEOFF
+        else:
+            self.landed = Landed.LANDING if self._leg.landing else Landed.IN_AIR
+        self.has_flown = self.has_flown or (self.flying and contact == 0.0)
+
+    def _mode_waits(self) -> bool:
+        """Whether AUTO stands on the ground until MISSION_START or a raised throttle."""
+        return self.mode is Mode.AUTO and not self._auto_armed
+
+    def _wants_up(self) -> bool:
+        if isinstance(self._leg, ByPilot):
+            return self._leg.climbs
+        return float(self._controller.velocity_setpoint[2]) < -0.05
+
+    def _watch_idle(self) -> None:
+        """Stop the motors soon after a landing in RTL or LAND, else after DISARM_DELAY."""
+        idle = self.now_ms - self._idle_ms
+        came_down = self.mode in (Mode.RTL, Mode.LAND) or (
+            isinstance(self._leg, MissionFlight) and (self._leg.landing or self._leg.finished)
+        )
+        delay = self._p["DISARM_DELAY"] * 1000.0
+        if (came_down and idle >= DISARM_LANDED_MS) or (0.0 < delay <= idle):
+            self._stop()
+
+    # Failsafes and fences
+
+    def _outside(self, place: Vec3) -> bool:
+        """Whether a destination is outside the fence."""
+        return self.fence.now().breach(place, self._ground()) is not Breach.NONE
+
+    def _off_the_fence(self, velocity: Vec3) -> Vec3:
+        """Velocities are bent along the fence (AVOID_ENABLE bit 0)."""
+        now = self.fence.now()
+        if not now.there or not int(self._p["AVOID_ENABLE"]) & 1:
+            return velocity
+        limits = shape(self._p)
+        place = vector(self._body.position)
+        margin, gain = self._p["FENCE_MARGIN"], self._p["PSC_POSXY_P"]
+        braking = 0.5 * limits.acceleration_xy  # the other half is kept for what the jerk limit takes
+        return bent(velocity, place, self._ground(), now, margin, gain, braking)
+
+    def _watch_fence(self) -> None:
+        if self.now_ms < self._fence_due_ms:
+            return
+        self._fence_due_ms = self.now_ms + FENCE_CHECK_MS
+        before = self.breach
+        here = vector(self._body.position)
+        self.breach = self.fence.now().breach(here, self._ground()) if self.flying else Breach.NONE
+        if self.breach is Breach.NONE or before is not Breach.NONE:
+            return
+        self.breaches += 1
+        self.say(f"{fence.NAMES[self.breach]} fence breached", NOTICE)
+        mode = fence.FLOWN.get(int(self._p["FENCE_ACTION"]))
+        if mode is not None and self.mode not in (Mode.RTL, Mode.LAND):
+            self.failsafe = "fence"
+            self._enter(mode)
+
+    def _watch_mission(self) -> None:
+        """A mission that changes under way is begun anew; one that is done or gone leaves the vehicle where it is."""
+        if self.mode is Mode.AUTO and self.plans.mission_changes != self._mission_changes:
+            self._mission_changes = self.plans.mission_changes
+            self._enter(Mode.AUTO if self.plans.flyable else Mode.LOITER)
+
+    def _watch_sticks(self) -> None:
+        """Modes for sticks are flown by them while they are there (RC_OVERRIDE_TIME); AUTO waits for the throttle."""
+        there = self.sticks.alive(self.now_ms, self._p["RC_OVERRIDE_TIME"])
+        raised = there and self.sticks.now.throttle > RAISED
+        if raised or self.flying or int(self._p["AUTO_OPTIONS"]) & ALLOW_TAKEOFF:
+            self._auto_armed = True
+        if isinstance(self._leg, Attitude) and self.now_ms - self._order_ms > self._p["GUID_TIMEOUT"] * 1000.0:
+            self._leg = Velocity(self._body, self._p)
+        by_sticks = isinstance(self._leg, LoiterSticks | LeanSticks)
+        if there and not by_sticks and self.mode in (Mode.LOITER, Mode.POSHOLD):
+            self._leg = LoiterSticks(self._body, self._p, self.sticks)
+        elif there and not by_sticks and self.mode in (Mode.ALT_HOLD, Mode.STABILIZE):
+            self._leg = LeanSticks(self._body, self._p, self.sticks, by_thrust=self.mode is Mode.STABILIZE)
+        elif by_sticks and not there:
+            self.sticks.give_back()
+            self._enter(self.mode)
+
+    def _watch_battery(self) -> None:
+        """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT: 1 lands, 2 to 4 return, 5 stops the motors."""
+        level = self.battery.level
+        if level <= self._battery_level:
+            return
+        self._battery_level = level
+        kind = "low" if level == 1 else "critical"
+        used = (1.0 - self.battery.remaining) * self.battery.pack.capacity_mah
+        self.say(f"Battery 1 is {kind} {self.battery.voltage:.2f}V used {used:.0f} mAh", CRITICAL)
+        action = int(self._p["BATT_FS_LOW_ACT" if level == 1 else "BATT_FS_CRT_ACT"])
+        if action == 0 or not self.flying:
+            return
+        self.say("Battery Failsafe", WARNING)
+        self.failsafe = "battery"
+        if action == 5:
+            self._stop()
+        elif self.mode is not Mode.LAND:
+            self._enter(Mode.LAND if action == 1 else Mode.RTL)

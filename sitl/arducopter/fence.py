@@ -1,0 +1,48 @@
+"""ArduCopter's fence: FENCE_* parameters and the uploaded areas."""
+
+import math
+
+from sitl.arducopter.modes import Mode
+from sitl.geofence import Breach, Fence, areas
+from sitl.origin import Origin
+from sitl.parameters import Parameters
+from sitl.plan import Plans
+
+MAX_ALT, CIRCLE, AREAS, MIN_ALT = 1, 2, 4, 8
+"""FENCE_TYPE."""
+UNION = 2
+"""FENCE_OPTIONS: one inclusion area is enough."""
+FLOWN = {1: Mode.RTL, 2: Mode.LAND, 3: Mode.RTL, 4: Mode.BRAKE, 5: Mode.RTL}
+"""FENCE_ACTION -> mode; 0 only tells. What SmartRTL would fly is flown as RTL."""
+NAMES = {Breach.MAXALT: "Max Alt", Breach.MINALT: "Min Alt", Breach.BOUNDARY: "Boundary"}
+
+
+class FenceOfParameters:
+    """The fence in force, built anew only when a parameter or the uploaded fence has changed."""
+
+    def __init__(self, p: Parameters, plans: Plans, origin: Origin) -> None:
+        self._p = p
+        self._plans = plans
+        self._origin = origin
+        self._built_for: tuple[int, int] | None = None
+        self._fence = Fence()
+
+    def now(self) -> Fence:
+        state = (self._p.changes, self._plans.fence_changes)
+        if state != self._built_for:
+            self._built_for = state
+            self._fence = self._build()
+        return self._fence
+
+    def _build(self) -> Fence:
+        p = self._p
+        if not p["FENCE_ENABLE"]:
+            return Fence()
+        kinds = int(p["FENCE_TYPE"])
+        return Fence(
+            areas(self._plans.fence, self._origin) if kinds & AREAS else (),
+            any_inclusion=bool(int(p["FENCE_OPTIONS"]) & UNION),
+            radius=p["FENCE_RADIUS"] if kinds & CIRCLE else math.inf,
+            height_max=p["FENCE_ALT_MAX"] if kinds & MAX_ALT else math.inf,
+            height_min=p["FENCE_ALT_MIN"] if kinds & MIN_ALT else -math.inf,
+        )

@@ -1,0 +1,120 @@
+"""What the flight model and the battery need, read from ArduCopter's parameters."""
+
+import math
+
+from sitl.arducopter.shaper import Shape
+from sitl.battery import Pack
+from sitl.control import Gains
+from sitl.parameters import Parameters
+from sitl.physics import GRAVITY, Rotorcraft
+from sitl.reference import Limits
+
+MASS = 3.0
+"""Of ArduPilot's default simulated frame (SIM_Frame.cpp) [kg]."""
+HOVER_THROTTLE = 0.39
+"""MOT_THST_HOVER of the recorded vehicle: sizes the motors."""
+DRAG = 1.1
+"""Linear drag [N/(m/s)] that makes the recorded tilt in steady flight: 0.32 to 0.43 m/s2 per m/s on 3 kg."""
+CELLS, CELL_FULL_V, CELL_EMPTY_V = 3, 4.2, 3.3
+"""The simulated battery is 12.6 V when full (SIM_BATT_VOLTAGE)."""
+
+
+def rotorcraft(_: Parameters) -> Rotorcraft:
+    """ArduPilot's default frame: 3 kg, 0.35 m across."""
+    return Rotorcraft(
+        mass=MASS,
+        inertia=(0.046, 0.046, 0.092),
+        arm_roll=0.124,
+        arm_pitch=0.124,
+        thrust_max=MASS * GRAVITY / 4.0 / HOVER_THROTTLE,
+        torque_max=0.35,
+        motor_lag=0.05,
+        drag=DRAG,
+        angular_drag=0.02,
+    )
+
+
+def pack(p: Parameters) -> Pack:
+    """The battery of the BATT_* parameters: low below BATT_LOW_VOLT or BATT_LOW_MAH, critical likewise."""
+
+    def share(volts: float, mah: float) -> float:
+        by_voltage = (volts / CELLS - CELL_EMPTY_V) / (CELL_FULL_V - CELL_EMPTY_V) if volts > 0.0 else 0.0
+        by_charge = mah / p["BATT_CAPACITY"]
+        return min(max(by_voltage, by_charge, 0.0), 1.0)
+
+    low, critical = (share(p[f"BATT_{kind}_VOLT"], p[f"BATT_{kind}_MAH"]) for kind in ("LOW", "CRT"))
+    return Pack(CELLS, p["BATT_CAPACITY"], CELL_FULL_V, CELL_EMPTY_V, (low, critical, 0.0))
+
+
+def tilt_max(p: Parameters) -> float:
+    """PSC_ANGLE_MAX [deg], or else ANGLE_MAX [cdeg], in rad."""
+    return math.radians(p["PSC_ANGLE_MAX"] or p["ANGLE_MAX"] * 0.01)
+
+
+def rate_max(degrees: float, otherwise: float) -> float:
+    """ATC_RATE_*_MAX [deg/s] in rad/s; 0 means no limit, for which a large one is taken."""
+    return math.radians(degrees or otherwise)
+
+
+def gains(p: Parameters) -> Gains:
+    """The control law of the PSC_* and ATC_* parameters.
+
+    The cascade is the shared one. ArduCopter shapes the attitude asked for with ATC_INPUT_TC and feeds the rate
+    forward (ATC_RATE_FF_ENAB); here that is an attitude gain of 1 / ATC_INPUT_TC.
+    """
+    hover = HOVER_THROTTLE
+    forward = 1.0 / p["ATC_INPUT_TC"] if p["ATC_RATE_FF_ENAB"] else 0.0
+    return Gains(
+        position_p=(p["PSC_POSXY_P"], p["PSC_POSXY_P"], p["PSC_POSZ_P"]),
+        velocity_p=(p["PSC_VELXY_P"], p["PSC_VELXY_P"], p["PSC_VELZ_P"]),
+        velocity_i=(p["PSC_VELXY_I"], p["PSC_VELXY_I"], p["PSC_VELZ_I"]),
+        velocity_d=(p["PSC_VELXY_D"], p["PSC_VELXY_D"], p["PSC_VELZ_D"]),
+        velocity_derivative_hz=p["PSC_VELXY_FLTD"],
+        speed_xy_max=200.0,
+        speed_up_max=200.0,
+        speed_down_max=200.0,
+        tilt_max=tilt_max(p),
+        thrust_min=0.0,
+        thrust_max=1.0,
+        thrust_xy_margin=0.3,
+        hover_thrust=hover,
+        attitude_p=(max(p["ATC_ANG_RLL_P"], forward), max(p["ATC_ANG_PIT_P"], forward), p["ATC_ANG_YAW_P"]),
+        yaw_weight=1.0,
+        rate_max=(
+            rate_max(p["ATC_RATE_R_MAX"], 720.0),
+            rate_max(p["ATC_RATE_P_MAX"], 720.0),
+            rate_max(p["ATC_RATE_Y_MAX"], 200.0),
+        ),
+        rate_p=(p["ATC_RAT_RLL_P"], p["ATC_RAT_PIT_P"], p["ATC_RAT_YAW_P"]),
+        rate_i=(p["ATC_RAT_RLL_I"], p["ATC_RAT_PIT_I"], p["ATC_RAT_YAW_I"]),
+        rate_d=(p["ATC_RAT_RLL_D"], p["ATC_RAT_PIT_D"], p["ATC_RAT_YAW_D"]),
+        rate_integral_max=(p["ATC_RAT_RLL_IMAX"], p["ATC_RAT_PIT_IMAX"], p["ATC_RAT_YAW_IMAX"]),
+        yaw_torque_hz=p["ATC_RAT_YAW_FLTE"],
+    )
+
+
+def shape(p: Parameters) -> Shape:
+    """Of velocities asked for in GUIDED, and of braking: WPNAV_ACCEL*, PSC_JERK_*."""
+    return Shape(
+        acceleration_xy=p["WPNAV_ACCEL"] * 0.01,
+        jerk_xy=p["PSC_JERK_XY"],
+        acceleration_z=p["WPNAV_ACCEL_Z"] * 0.01,
+        jerk_z=p["PSC_JERK_Z"],
+    )
+
+
+def limits(p: Parameters, speed_cms: float = 0.0) -> Limits:
+    """Of the autonomous modes: WPNAV_*; `speed_cms` is a speed to take in place of WPNAV_SPEED, if above zero."""
+    return Limits(
+        speed_xy=(speed_cms if speed_cms > 0.0 else p["WPNAV_SPEED"]) * 0.01,
+        speed_up=p["WPNAV_SPEED_UP"] * 0.01,
+        speed_down=p["WPNAV_SPEED_DN"] * 0.01,
+        acceleration_xy=p["WPNAV_ACCEL"] * 0.01,
+        acceleration_z=p["WPNAV_ACCEL_Z"] * 0.01,
+        braking_z=0.6 * p["WPNAV_ACCEL_Z"] * 0.01,
+        jerk=BRAKING_JERK,
+    )
+
+
+BRAKING_JERK = 20.0
+"""[m/s3] Makes the recorded way of coming to a stop: 2.0 m/s2 from 10 m/s to the place, with little to spare."""

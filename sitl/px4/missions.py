@@ -1,0 +1,58 @@
+"""How PX4 flies missions and to places: its parameters as `Manners`, its modes as the mission's legs."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sitl.mission_flight import Manners
+from sitl.origin import Origin
+from sitl.parameters import Parameters
+from sitl.physics import Body
+from sitl.plan import Item, place
+from sitl.px4.autonomy import Land, Takeoff, limits
+from sitl.reference import Vec3
+
+
+def manners(p: Parameters) -> Manners:
+    """NAV_* and MPC_* parameters."""
+    return Manners(
+        limits=limits(p),
+        speed_max=p["MPC_XY_VEL_MAX"],
+        radius=p["NAV_ACC_RAD"],
+        height=p["NAV_MC_ALT_RAD"],
+        yaw_rate=math.radians(p["MPC_YAWRAUTO_MAX"]),
+        first_height=p["MIS_TAKEOFF_ALT"],
+        takeoff_goes_there=True,
+    )
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What a mission asks of PX4."""
+
+    body: Body
+    p: Parameters
+    origin: Origin
+    home: Callable[[], Vec3]
+    flying: Callable[[], bool]
+    set_home: Callable[[Vec3], None]
+    go_home: Callable[[], object]
+    """RETURN_TO_LAUNCH in a mission is a change of mode."""
+
+    @property
+    def on_ground(self) -> bool:
+        return not self.flying()
+
+    def place(self, item: Item, here: Vec3) -> Vec3:
+        return place(item, self.origin, self.home(), here)
+
+    def takeoff(self, down: float) -> Takeoff:
+        if math.isnan(down):
+            down = self.home()[2] - self.p["MIS_TAKEOFF_ALT"]
+        return Takeoff(self.body, self.p, min(down, float(self.body.position[2])))
+
+    def land(self, north: float, east: float) -> Land:
+        return Land(self.body, self.p, self.home()[2], (north, east))
+
+    def return_home(self) -> None:
+        self.go_home()

@@ -1,0 +1,23 @@
+"""SETUP_SIGNING: a new key for all links of the vehicle.
+
+Taken from any link while there is no key (all are loopback), and after that only when signed with the key in force,
+which the network has checked before. Never while armed: a vehicle in flight must not lose its pilot.
+"""
+
+from sitl.frames import Message
+from sitl.link import Link
+from sitl.personality import WARNING
+from sitl.vehicle import Vehicle
+
+
+def setup_signing(v: Vehicle, link: Link, message: Message) -> None:
+    """A key and a timestamp of zeros end signing. Not acknowledged, as the protocol has it; the log tells."""
+    if message.target_system != link.system:
+        link.counters["key refused"] += 1  # a key is for one vehicle, not for everybody
+        return
+    if v.commander.armed:
+        link.counters["key refused"] += 1
+        v.commander.say("Signing key refused: armed", WARNING)
+        return
+    link.signing.set_up(bytes(message.secret_key), message.initial_timestamp)
+    v.commander.say("Signing key set" if link.signing.active else "Signing ended")

@@ -1,0 +1,50 @@
+"""One vehicle: what its services and its telemetry see of it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sitl.control import Controller
+from sitl.flight_model import FlightModel
+from sitl.origin import Origin
+from sitl.parameters import Parameters
+from sitl.personality import Commander, Personality
+from sitl.physics import Body
+from sitl.reference import vector
+from sitl.transfer import Exchange
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """All that telemetry is made of."""
+
+    personality: Personality
+    model: FlightModel
+    commander: Commander
+    parameters: Parameters
+    origin: Origin
+    noise: np.random.Generator
+    epoch_us: int
+    """Unix time of boot [us]."""
+    exchange: Exchange = field(default_factory=Exchange)
+
+    @property
+    def body(self) -> Body:
+        return self.model.body
+
+    @property
+    def controller(self) -> Controller:
+        return self.model.controller
+
+    def position(self) -> tuple[float, float, float]:
+        """NED from the local origin [m]."""
+        return vector(self.body.position)
+
+    @property
+    def now_ms(self) -> int:
+        return self.commander.now_ms
+
+    @property
+    def located(self) -> bool:
+        """Whether the estimator has a position."""
+        return self.now_ms >= self.personality.timeline.position_ms
