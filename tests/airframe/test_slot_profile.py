@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
-from hypothesis import assume, example, given
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.optimize import linprog
 
-from airframe.slot_profile import SpeedLimits, brake, reach
+from airframe.slot_profile import Agility, Reference, SpeedLimits, brake, reach
 
 LIMITS = SpeedLimits(horizontal=10.0, up=3.0, down=1.5)
 accelerations = st.floats(0.5, 8)
@@ -97,3 +98,95 @@ def test_braking_ends_at_rest_after_the_stop_distance(velocity, acceleration):
         end = profile.at(later)
         assert np.linalg.norm(end.velocity) == pytest.approx(0.0, abs=1e-6)
         assert np.linalg.norm(end.position) == pytest.approx(speed**2 / (2 * acceleration), abs=1e-6)
+
+
+# With a jerk limit.
+
+agilities = st.builds(Agility, st.floats(1, 6), st.floats(2, 40), st.sampled_from([1.0, 0.4]))
+chains = st.lists(displacements, min_size=1, max_size=6)
+
+
+def fly(moves, agility, slot_s):
+    """Profiles of a whole flight, slot after slot."""
+    here = Reference(np.zeros(3), np.zeros(3), np.zeros(3))
+    for move in moves:
+        profile = reach(here.position, here.velocity, move, slot_s, agility, LIMITS, here.acceleration)
+        yield profile
+        here = profile.at(slot_s)
+
+
+@given(chains, agilities, slots)
+def test_a_flight_of_slots_keeps_every_limit(moves, agility, slot_s):
+    axes = np.array([1, 1, agility.vertical_share])
+    before = np.zeros(3)
+    for profile in fly(moves, agility, slot_s):
+        track = profile.at(np.linspace(0, slot_s, 201))
+        assert np.all(np.hypot(track.velocity[:, 0], track.velocity[:, 1]) <= LIMITS.horizontal + 1e-6)
+        assert np.all(track.velocity[:, 2] <= LIMITS.up + 1e-6)
+        assert np.all(track.velocity[:, 2] >= -LIMITS.down - 1e-6)
+        assert np.all(np.linalg.norm(track.acceleration / axes, axis=-1) <= agility.acceleration + 1e-6)
+        jerk = np.diff(track.acceleration, axis=0) / axes / (slot_s / 200)
+        assert np.all(np.linalg.norm(jerk, axis=-1) <= agility.jerk * (1 + 1e-6))
+        assert np.allclose(track.acceleration[0], before, atol=1e-6)  # no jump between slots
+        before = track.acceleration[-1]
+
+
+@given(chains, agilities, slots)
+def test_with_a_jerk_limit_too_position_velocity_and_acceleration_belong_together(moves, agility, slot_s):
+    for profile in fly(moves, agility, slot_s):
+        fine = np.linspace(0, slot_s, 2001)
+        track = profile.at(fine)
+        for rate, integral in ((track.velocity, track.position), (track.acceleration, track.velocity)):
+            steps = (rate[1:] + rate[:-1]) / 2 * fine[1]
+            assert np.allclose(integral[0] + np.cumsum(steps, axis=0), integral[1:], atol=1e-4)
+
+
+@given(chains, agilities, slots)
+def test_with_a_jerk_limit_too_it_gets_there_unless_it_tells(moves, agility, slot_s):
+    for move, profile in zip(moves, fly(moves, agility, slot_s), strict=True):
+        if not profile.limited_by:
+            assert profile.displacement(slot_s) == pytest.approx(move, abs=1e-5)
+
+
+@settings(max_examples=15)
+@given(st.floats(-3, 3), st.floats(-1, 1), agilities, st.floats(0.4, 2))
+def test_no_way_inside_the_limits_gets_further(velocity, share, agility, slot_s):
+    """Along a line, against a linear program over jerks."""
+    acceleration = share * agility.acceleration
+    speeds = SpeedLimits(1e3, 1e3, 1e3)
+    start = (np.zeros(3), np.array([velocity, 0, 0]))
+    profile = reach(*start, np.array([900.0 * slot_s, 0, 0]), slot_s, agility, speeds, np.array([acceleration, 0, 0]))
+    assert "acceleration" in profile.limited_by
+    count = 200
+    dt = slot_s / count
+    whole = np.tril(np.ones((count, count))) * dt  # jerks -> accelerations at the steps' ends
+    times = slot_s - (np.arange(count) + 0.5) * dt
+    gain = times**2 / 2 * dt  # jerks -> displacement
+    limits = np.repeat([agility.acceleration - acceleration, agility.acceleration + acceleration], count)
+    best = linprog(-gain, A_ub=np.vstack([whole, -whole]), b_ub=limits, bounds=(-agility.jerk, agility.jerk))
+    furthest = velocity * slot_s + acceleration * slot_s**2 / 2 - best.fun
+    assert profile.displacement(slot_s)[0] == pytest.approx(furthest, abs=0.02 * agility.acceleration * slot_s**2)
+
+
+@given(st.floats(0, 10), st.floats(1, 6), st.floats(2, 40))
+def test_the_classic_stop_under_a_jerk_limit(speed, acceleration, jerk):
+    """From no acceleration: v/2 (v/a + a/j), or v sqrt(v/j) when the deceleration never reaches a."""
+    long = speed >= acceleration**2 / jerk
+    distance = speed / 2 * (speed / acceleration + acceleration / jerk) if long else speed * (speed / jerk) ** 0.5
+    stop = brake(np.zeros(3), np.array([0.6 * speed, 0.8 * speed, 0]), Agility(acceleration, jerk)).at(100.0)
+    assert np.linalg.norm(stop.position) == pytest.approx(distance, abs=1e-6)
+    assert np.linalg.norm(stop.velocity) == pytest.approx(0, abs=1e-6)
+
+
+@given(chains, agilities, slots, st.floats(0, 1))
+def test_brakes_from_any_instant_of_a_flight(moves, agility, slot_s, share):
+    *_, profile = fly(moves, agility, slot_s)
+    now = profile.at(share * slot_s)
+    hold = brake(now.position, now.velocity, agility, now.acceleration)
+    assert hold.at(0.0).acceleration == pytest.approx(now.acceleration, abs=1e-6)
+    end = hold.at(100.0)
+    assert end.velocity == pytest.approx(np.zeros(3), abs=1e-6)
+    assert end.acceleration == pytest.approx(np.zeros(3), abs=1e-9)
+    times = np.linspace(0, 20, 4001)
+    jerk = np.diff(hold.at(times).acceleration, axis=0) / times[1] / np.array([1, 1, agility.vertical_share])
+    assert np.all(np.linalg.norm(jerk, axis=-1) <= agility.jerk * (1 + 1e-6))
