@@ -141,11 +141,11 @@ class Commander:
 
     def takeoff(self, altitude: float) -> Result:
         """In GUIDED, armed and standing: up to an altitude above home [m]."""
-        if not self.armed or self.flying or self.mode is not Mode.GUIDED or not altitude > 0.0:
+        if not self.armed or self.flying or self.mode is not Mode.GUIDED or not 0.0 < altitude <= guided.FAR_M:
             return Result.FAILED
         north, east, _ = vector(self._body.position)
         down = self._ground()[2] - altitude
-        if not math.isfinite(down) or self._outside((north, east, down)):
+        if self._outside((north, east, down)):
             return Result.FAILED
         self.order = None
         self._leg = Takeoff(self._body, self._p, down)

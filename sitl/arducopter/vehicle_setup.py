@@ -13,6 +13,8 @@ MASS = 3.0
 """Of ArduPilot's default simulated frame (SIM_Frame.cpp) [kg]."""
 HOVER_THROTTLE = 0.39
 """MOT_THST_HOVER of the recorded vehicle: sizes the motors."""
+ATTITUDE_GAIN_MAX = 10.0
+"""What the rate loop can follow [1/s]."""
 DRAG = 1.1
 """Linear drag [N/(m/s)] that makes the recorded tilt in steady flight: 0.32 to 0.43 m/s2 per m/s on 3 kg."""
 CELLS, CELL_FULL_V, CELL_EMPTY_V = 3, 4.2, 3.3
@@ -63,7 +65,7 @@ def gains(p: Parameters) -> Gains:
     forward (ATC_RATE_FF_ENAB); here that is an attitude gain of 1 / ATC_INPUT_TC.
     """
     hover = HOVER_THROTTLE
-    forward = 1.0 / p["ATC_INPUT_TC"] if p["ATC_RATE_FF_ENAB"] else 0.0
+    forward = min(1.0 / p["ATC_INPUT_TC"], ATTITUDE_GAIN_MAX) if p["ATC_RATE_FF_ENAB"] else 0.0
     return Gains(
         position_p=(p["PSC_POSXY_P"], p["PSC_POSXY_P"], p["PSC_POSZ_P"]),
         velocity_p=(p["PSC_VELXY_P"], p["PSC_VELXY_P"], p["PSC_VELZ_P"]),
