@@ -163,6 +163,16 @@ def test_a_key_for_everybody_is_refused(vehicle):
     assert answered(vehicle)
 
 
+def test_a_timestamp_of_more_than_48_bits_is_refused(vehicle):
+    """It would not fit a signature."""
+    vehicle.boot()
+    set_up(vehicle, timestamp=2**48)
+    assert counted(vehicle, "key refused") == 1
+    assert answered(vehicle)
+    set_up(vehicle, timestamp=2**48 - 1)  # the last one: ours begin anew after it
+    assert int.from_bytes(vehicle.link.signing.sign(b"", 0)[1:7], "little") < 1000
+
+
 def test_a_key_is_changed_and_ended_only_by_who_has_it(signed):
     signed.mav.signing.sign_outgoing = False
     set_up(signed, bytes(32), 0)
