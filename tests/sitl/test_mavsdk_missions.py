@@ -125,7 +125,8 @@ def test_mission_is_uploaded_flown_paused_and_comes_home():
         wait_for(watched(mission.is_mission_finished))
         wait_for(lambda: c.telemetry.flight_mode() == FlightMode.RETURN_TO_LAUNCH)
         wait_for(lambda: not c.telemetry.armed())
-        assert all(distance < 2.5 for distance in nearest), nearest
+        # NAV_ACC_RAD 2 m and NAV_MC_ALT_RAD 0.8 m, seen every 0.2 s of vehicle time at 5 m/s
+        assert all(distance < 3.2 for distance in nearest), nearest
         assert fastest > 5.0  # DO_CHANGE_SPEED 6, less SIH's drag; MPC_XY_CRUISE alone gives 4.6
         assert c.place == pytest.approx((0.0, 0.0, 0.0), abs=0.6)
         mission.clear_mission()
