@@ -104,7 +104,7 @@ def test_mission_is_uploaded_flown_paused_and_comes_home():
             nonlocal fastest
             for i, (north, east, up) in enumerate(places):
                 nearest[i] = min(nearest[i], math.dist(c.place, (north, east, -up)))
-            fastest = max(fastest, c.telemetry.position_velocity_ned().velocity.north_m_s)
+            fastest = max(fastest, c.speed)
 
         def watched(condition: Callable[[], bool]) -> Callable[[], bool]:
             def both() -> bool:
