@@ -22,6 +22,7 @@ from sitl.plan import Plans
 from sitl.reference import Vec3
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 from sitl.transfer import Rules
+from sitl.world import World
 
 if TYPE_CHECKING:
     from sitl.vehicle import Vehicle
@@ -252,6 +253,7 @@ class Personality:
     gains: Callable[[Parameters], Gains]
     craft: Callable[[Parameters], Rotorcraft]
     pack: Callable[[Parameters], Pack]
+    world: Callable[[Parameters], World]
     mode_number: Callable[[float, float], int]
     """custom_mode that DO_SET_MODE's param2 and param3 mean; -1 when they mean none."""
     sensors: Callable[[Vehicle], tuple[int, int, int]]

@@ -332,8 +332,6 @@ class Commander:
             if isinstance(self._leg, Velocity):
                 self._leg.velocity = self._off_the_fence(self._velocity_asked())
             setpoint = self._leg.step(self._body, dt)
-        velocity = self._body.velocity
-        self.battery.drain(float(velocity[0]), float(velocity[1]), float(velocity[2]), self.flying, dt)
         return setpoint
 
     def _boot(self) -> None:

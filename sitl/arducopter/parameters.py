@@ -5,6 +5,7 @@ value outside is refused. Angles are centidegrees, lengths centimetres where Ard
 """
 
 from sitl.parameters import INT8, INT16, INT32, REAL32, Parameter
+from sitl.world import OWN
 
 INT8_ANY = (-(2**7), 2**7 - 1)
 INT16_ANY = (-(2**15), 2**15 - 1)
@@ -197,7 +198,7 @@ TABLE = (
     Parameter("SERVO4_FUNCTION", 36, *INT16_ANY, INT16),
     Parameter("SIM_BATT_CAP_AH", 0.0, *REAL32_ANY, REAL32),
     Parameter("SIM_BATT_VOLTAGE", 12.6, 0, 120, REAL32),
-    Parameter("SIM_ENGINE_FAIL", 0, *INT32_ANY, INT32),
+    Parameter("SIM_ENGINE_FAIL", 0, 0, 15, INT32),
     Parameter("SIM_ENGINE_MUL", 0.0, 0, 1, REAL32),
     Parameter("SIM_GPS1_ENABLE", 1, 0, 1, INT8),
     Parameter("SIM_GPS1_NOISE", 0.0, 0, 100, REAL32),
@@ -224,4 +225,5 @@ TABLE = (
     Parameter("WPNAV_SPEED_UP", 250.0, 10, 1000, REAL32),
     Parameter("WP_NAVALT_MIN", 0.0, *REAL32_ANY, REAL32),
     Parameter("WP_YAW_BEHAVIOR", 2, 0, 3, INT8),
+    *OWN,
 )

@@ -8,6 +8,8 @@ from sitl.control import Gains
 from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, Rotorcraft
 from sitl.reference import Limits
+from sitl.world import World, in_the_air
+from sitl.world import world as own_world
 
 MASS = 3.0
 """Of ArduPilot's default simulated frame (SIM_Frame.cpp) [kg]."""
@@ -21,9 +23,17 @@ CELLS, CELL_FULL_V, CELL_EMPTY_V = 3, 4.2, 3.3
 """The simulated battery is 12.6 V when full (SIM_BATT_VOLTAGE)."""
 
 
-def rotorcraft(_: Parameters) -> Rotorcraft:
-    """ArduPilot's default frame: 3 kg, 0.35 m across."""
-    return Rotorcraft(
+DEAD_RECKONING_S = 10.0
+"""How long EKF3 keeps a position without GPS (its posRetryTimeUseVel_ms); not in the recording."""
+W20_PER_TURBULENCE = 5.0
+"""Gusts of this Dryden wind have about SIM_WIND_TURB for a horizontal standard deviation at 10 m."""
+
+
+def rotorcraft(p: Parameters) -> Rotorcraft:
+    """ArduPilot's default frame: 3 kg, 0.35 m across; SIM_ENGINE_FAIL (motors as bits) leaves SIM_ENGINE_MUL."""
+    failed = int(p["SIM_ENGINE_FAIL"])
+    left = [p["SIM_ENGINE_MUL"] if failed >> motor & 1 else 1.0 for motor in range(4)]
+    craft = Rotorcraft(
         mass=MASS,
         inertia=(0.046, 0.046, 0.092),
         arm_roll=0.124,
@@ -33,7 +43,18 @@ def rotorcraft(_: Parameters) -> Rotorcraft:
         motor_lag=0.05,
         drag=DRAG,
         angular_drag=0.02,
+        health=(left[0], left[1], left[2], left[3]),
     )
+    return in_the_air(craft, p)
+
+
+def world(p: Parameters) -> World:
+    """The world of the SITL_* parameters and of SIM_WIND_*, SIM_GPS1_ENABLE; SIM_WIND_DIR is where wind comes from."""
+    own = own_world(p, DEAD_RECKONING_S, gps_fix=bool(p["SIM_GPS1_ENABLE"]))
+    towards, speed = math.radians(p["SIM_WIND_DIR"]), p["SIM_WIND_SPD"]
+    north, east, down = own.wind.mean
+    mean = (north - speed * math.cos(towards), east - speed * math.sin(towards), down)
+    return own._replace(wind=own.wind._replace(mean=mean, w20=own.wind.w20 + W20_PER_TURBULENCE * p["SIM_WIND_TURB"]))
 
 
 def pack(p: Parameters) -> Pack:
@@ -45,7 +66,7 @@ def pack(p: Parameters) -> Pack:
         return min(max(by_voltage, by_charge, 0.0), 1.0)
 
     low, critical = (share(p[f"BATT_{kind}_VOLT"], p[f"BATT_{kind}_MAH"]) for kind in ("LOW", "CRT"))
-    return Pack(CELLS, p["BATT_CAPACITY"], CELL_FULL_V, CELL_EMPTY_V, (low, critical, 0.0))
+    return Pack(CELLS, p["BATT_CAPACITY"], CELL_FULL_V, CELL_EMPTY_V, (low, critical, 0.0), p["SITL_BAT_R"])
 
 
 def tilt_max(p: Parameters) -> float:

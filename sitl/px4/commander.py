@@ -322,8 +322,6 @@ class Commander:
         if self.flying:
             setpoint = self._in_ramp(setpoint)
         self._pushes = setpoint.thrust > THRUST_ON_GROUND * self._p["MPC_THR_HOVER"]
-        velocity = self._body.velocity
-        self.battery.drain(float(velocity[0]), float(velocity[1]), float(velocity[2]), self.flying, dt)
         return setpoint
 
     def _setpoint(self, dt: float) -> Setpoint:

@@ -1,6 +1,7 @@
 """PX4 parameters: the real names, types and defaults of those that act on this vehicle or that clients ask for."""
 
 from sitl.parameters import INT32, REAL32, Parameter
+from sitl.world import OWN
 
 
 def _real(name: str, default: float, low: float, high: float) -> Parameter:
@@ -34,6 +35,7 @@ TABLE = (
     _int("COM_RC_OVERRIDE", 1, 0, 3),
     _real("COM_RC_STICK_OV", 30.0, 5.0, 80.0),
     _real("COM_SPOOLUP_TIME", 1.0, 0.0, 30.0),
+    _int("EKF2_NOAID_TOUT", 5000000, 500000, 10000000),  # [us]
     _int("GF_ACTION", 2, 0, 5),
     _real("GF_MAX_HOR_DIST", 0.0, 0.0, 10000.0),
     _real("GF_MAX_VER_DIST", 0.0, 0.0, 10000.0),
@@ -127,5 +129,7 @@ TABLE = (
     _real("SIH_Q_MAX", 0.1, 0.001, 100.0),
     _real("SIH_T_MAX", 5.0, 0.1, 1000.0),
     _real("SIH_T_TAU", 0.05, 0.01, 1.0),
+    _int("SIM_GPS_USED", 10, 0, 50),
     _int("SYS_AUTOSTART", 10040, 0, 9999999),
+    *OWN,
 )

@@ -6,11 +6,16 @@ from sitl.battery import Pack
 from sitl.control import Gains
 from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, Rotorcraft
+from sitl.world import World, in_the_air
+from sitl.world import world as own_world
+
+SATELLITES_MIN = 4
+"""SIM_GPS_USED below this is no fix."""
 
 
 def rotorcraft(p: Parameters) -> Rotorcraft:
     """The airframe of the SIH_* parameters."""
-    return Rotorcraft(
+    craft = Rotorcraft(
         mass=p["SIH_MASS"],
         inertia=(p["SIH_IXX"], p["SIH_IYY"], p["SIH_IZZ"]),
         arm_roll=p["SIH_L_ROLL"],
@@ -21,6 +26,12 @@ def rotorcraft(p: Parameters) -> Rotorcraft:
         drag=p["SIH_KDV"],
         angular_drag=p["SIH_KDW"],
     )
+    return in_the_air(craft, p)
+
+
+def world(p: Parameters) -> World:
+    """The world of the SITL_* parameters; a position lasts EKF2_NOAID_TOUT [us] without GPS."""
+    return own_world(p, p["EKF2_NOAID_TOUT"] * 1e-6, gps_fix=p["SIM_GPS_USED"] >= SATELLITES_MIN)
 
 
 def pack(p: Parameters) -> Pack:
@@ -31,6 +42,7 @@ def pack(p: Parameters) -> Pack:
         full_v=p["BAT1_V_CHARGED"],
         empty_v=p["BAT1_V_EMPTY"],
         thresholds=(p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"]),
+        cell_ohm=p["SITL_BAT_R"],
     )
 
 
