@@ -123,6 +123,8 @@ def shape(p: Parameters) -> Shape:
         jerk_xy=p["PSC_JERK_XY"],
         acceleration_z=p["WPNAV_ACCEL_Z"] * 0.01,
         jerk_z=p["PSC_JERK_Z"],
+        speed_up=p["WPNAV_SPEED_UP"] * 0.01,
+        speed_down=p["WPNAV_SPEED_DN"] * 0.01,
     )
 
 
