@@ -45,6 +45,8 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
     "MISSION_REQUEST": missions.mission_request,
     "MISSION_REQUEST_INT": missions.mission_request_int,
     "MISSION_ACK": missions.mission_ack,
+    "MISSION_REQUEST_PARTIAL_LIST": missions.mission_request_partial_list,
+    "MISSION_WRITE_PARTIAL_LIST": missions.mission_request_partial_list,
     "MISSION_SET_CURRENT": missions.mission_set_current,
     "FILE_TRANSFER_PROTOCOL": files.file_transfer_protocol,
     "LOG_REQUEST_LIST": logs.log_request_list,

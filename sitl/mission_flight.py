@@ -266,7 +266,7 @@ class MissionFlight:
             return False
         if item.command == DELAY:
             self._held += dt
-            return self._held >= item.p[0]
+            return not self._held < item.p[0]
         if item.command not in PLACES:
             return True
         if not self._arrived(body, item):

@@ -242,6 +242,22 @@ def test_uploaded_areas_and_fence_enable(hovering_copter):
     assert reposition_int(vehicle, 20.0, 0.0, 499.4) == ACCEPTED
 
 
+def test_a_guided_mission_item_is_flown_to(hovering_copter):
+    """MISSION_ITEM with current = 2, as MAVProxy's `guided` sends it; the mission stays as it is."""
+    vehicle = hovering_copter
+    assert upload(vehicle, FLIGHT) == ACCEPTED
+    vehicle.send(message(0, item(WAYPOINT, 6.0, -3.0, 12.0), current=2, integer=False))
+    vehicle.advance(50)
+    assert vehicle.latest["MISSION_ACK"].type == 0
+    vehicle.fly(12)
+    assert vehicle.position == pytest.approx((6.0, -3.0, -12.0), abs=0.6)  # float32 degrees
+    assert vehicle.mode == GUIDED
+    assert len(download(vehicle)) == 4
+    vehicle.send(message(0, item(TAKEOFF, 6.0, -3.0, 12.0), current=2))
+    vehicle.advance(50)
+    assert vehicle.latest["MISSION_ACK"].type == UNSUPPORTED
+
+
 # Sticks
 
 

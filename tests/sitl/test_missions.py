@@ -134,6 +134,18 @@ def test_without_a_mission(vehicle):
     assert (current[0].seq, current[0].total, current[0].mission_state) == (0, 65535, 0)
 
 
+def test_parts_of_plans_are_refused_at_once(vehicle):
+    vehicle.boot()
+    for ask in (
+        mavlink.MAVLink_mission_request_partial_list_message(1, 1, 0, 1),
+        mavlink.MAVLink_mission_write_partial_list_message(1, 1, 0, 1),
+    ):
+        since = len(vehicle.messages)
+        vehicle.send(ask)
+        vehicle.advance(20)
+        assert [m.type for m in heard(vehicle, since, "MISSION_ACK")] == [UNSUPPORTED]
+
+
 # Flight
 
 
@@ -275,3 +287,15 @@ def test_waypoint_yaw_and_acceptance_radius():
         vehicle.until(lambda: 1 in reached(vehicle), 60)
         assert vehicle.position[0] == pytest.approx(30.0, abs=0.6)
         assert vehicle.latest["ATTITUDE"].yaw == pytest.approx(math.pi / 2, abs=0.1)
+
+
+def test_a_mission_flies_the_same_to_the_bit():
+    """Issue 4, item 6: deterministic to the bit for a seed, missions and their transfer too."""
+
+    def flight():
+        with direct(seed=7) as vehicle:
+            fly_mission(vehicle, SQUARE[:2])
+            vehicle.fly(10)
+            return vehicle.raw
+
+    assert flight() == flight()
