@@ -1,6 +1,6 @@
 """Coverage-guided fuzzing of the simulated autopilot: `make fuzz` (needs the extra `fuzz`; not part of the tests).
 
-    python tests/fuzz/sitl.py [libFuzzer options, e.g. -max_total_time=600] [corpus folder]
+    python -m tests.fuzz.fuzz_autopilot [libFuzzer options, e.g. -max_total_time=600] [corpus folder]
 
 Bytes become a script of `tests.sitl.fuzzing`: datagrams, well-formed frames of the handled messages, vehicle time.
 A vehicle that raises, keeps a defect, loses its state or stops answering is a finding, which libFuzzer writes down.
@@ -9,6 +9,8 @@ A vehicle that raises, keeps a defect, loses its state or stops answering is a f
 import sys
 
 import atheris
+
+import sitl.flight_model  # noqa: F401 - compiled code cannot be instrumented: imported before
 
 with atheris.instrument_imports(include=["sitl"]):
     from tests.sitl.fuzzing import HANDLED, Datagram, Said, Step, Wait, prepared
