@@ -55,7 +55,10 @@ class Velocity:
         elif self.yaw_rate:
             self._yaw = math.remainder(self._yaw + min(max(self.yaw_rate * dt, -turn), turn), math.tau)
         m = self._motion
-        return Setpoint(m.position, m.velocity, m.acceleration, self._yaw, NAN)
+        # ArduCopter's D acts on the velocity error; the shared law's on the velocity alone: the rest is fed forward.
+        forward = 1.0 + p["PSC_VELXY_D"]
+        acceleration = (forward * m.acceleration[0], forward * m.acceleration[1], m.acceleration[2])
+        return Setpoint(m.position, m.velocity, acceleration, self._yaw, NAN)
 
 
 def towards(place: Vec3, here: Vec3, forward: Vec3, by: Shape, within: Limits) -> Vec3:

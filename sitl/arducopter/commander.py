@@ -389,7 +389,6 @@ class Commander:
         self.failsafe = ""
         self._takeoff_ms = None
         self.say("Disarming motors")
-        self.news.append("HEARTBEAT")
 
     # Leaving and meeting the ground
 
