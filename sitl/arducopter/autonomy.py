@@ -4,6 +4,7 @@ Each turns the state into a setpoint tick by tick; `landing` tells that it is on
 """
 
 import math
+from dataclasses import replace
 
 from sitl.arducopter.shaper import Motion, Shape, held_back, limited, shaped, square_root
 from sitl.arducopter.vehicle_setup import limits, shape
@@ -126,12 +127,16 @@ class Destination:
         self.target = target
         self.reference = Reference(vector(body.position), vector(body.velocity))
         self.yaw = heading(body.attitude)
+        self._speed = math.hypot(*self.reference.velocity[:2])
+        self._acceleration = 0.0
         self._goal = yaw
         self._nose_first = nose_first and p["WP_YAW_BEHAVIOR"] > 0
 
     def step(self, body: Body, dt: float) -> Setpoint:
         here = vector(body.position)
-        self.reference = approach(self.reference, self.target, here, self._limits, dt)
+        self._gather_speed(dt)
+        within = replace(self._limits, speed_xy=self._speed)
+        self.reference = approach(self.reference, self.target, here, within, dt)
         goal = self._goal
         if math.isnan(goal):
             north, east = self.target[0] - here[0], self.target[1] - here[1]
@@ -139,6 +144,14 @@ class Destination:
             goal = math.atan2(east, north) if far else self.yaw
         self.yaw = turned(self.yaw, goal, slew(self._p) * dt)
         return Setpoint(self.reference.position, self.reference.velocity, NAN3, self.yaw, NAN)
+
+
+    def _gather_speed(self, dt: float) -> None:
+        """The speed allowed grows to the cruise speed with WPNAV_JERK at both ends (an S-curve)."""
+        most, jerk = self._limits, self._p["WPNAV_JERK"]
+        ease_out = math.sqrt(2.0 * jerk * max(most.speed_xy - self._speed, 0.0))
+        self._acceleration = min(self._acceleration + jerk * dt, most.acceleration_xy, ease_out)
+        self._speed = min(self._speed + self._acceleration * dt, most.speed_xy)
 
 
 class Land:
