@@ -117,7 +117,9 @@ class Commander(Protocol):
 
     def return_home(self) -> Result: ...
 
-    def start_mission(self) -> Result: ...
+    def start_mission(self, first: float, last: float) -> Result:
+        """MISSION_START with the items it names."""
+        ...
 
     def set_mode(self, custom_mode: int) -> Result:
         """Any number; one that is no mode is refused."""

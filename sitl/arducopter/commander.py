@@ -158,8 +158,10 @@ class Commander:
     def return_home(self) -> Result:
         return self._choose(Mode.RTL)
 
-    def start_mission(self) -> Result:
-        """MISSION_START: AUTO, which takes off if armed."""
+    def start_mission(self, first: float, last: float) -> Result:
+        """MISSION_START: AUTO, which takes off if armed. Part of a mission is DENIED."""
+        if first != 0.0 or last != 0.0:
+            return Result.DENIED
         taken = self._choose(Mode.AUTO)
         self._auto_armed = self._auto_armed or (taken is Result.ACCEPTED and self.armed)
         return taken

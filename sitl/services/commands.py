@@ -45,7 +45,7 @@ def return_to_launch(v: Vehicle, _: Link, command: Command) -> Result:
 
 
 def mission_start(v: Vehicle, _: Link, command: Command) -> Result:
-    return v.commander.start_mission()
+    return v.commander.start_mission(command.p[0], command.p[1])
 
 
 def set_home(v: Vehicle, _: Link, command: Command) -> Result:

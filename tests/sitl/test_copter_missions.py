@@ -126,6 +126,7 @@ def test_auto_waits_on_the_ground_for_mission_start(ready):
     assert ready.command(DO_SET_MODE, 1, AUTO) == ACCEPTED
     ready.fly(5)
     assert ready.position[2] == 0.0
+    assert ready.command(START, 1, 0) == DENIED
     assert ready.command(START) == ACCEPTED
     ready.until(lambda: ready.position[2] < -3, 15)
 

@@ -276,7 +276,9 @@ def test_mission_start_arms_and_flies(vehicle):
     """MISSION_START on PX4 arms too."""
     vehicle.boot()
     assert upload(vehicle, SQUARE[:2]) == ACCEPTED
+    assert vehicle.command(START, 7, 0) == DENIED
     assert vehicle.command(START, 0, 0) == ACCEPTED
+    assert vehicle.texts()[-1] == "Armed by mission start"
     track(vehicle, [(0, 0, 8), (20, 0, 10)])
 
 
@@ -347,7 +349,7 @@ def test_no_accepted_mission_breaks_the_vehicle(plan, copter):
         commander.set_mode(4)
         assert commander.arm(force=False) is Result.ACCEPTED
     commander.plans.store(Kind.MISSION, items)
-    assert commander.start_mission() is Result.ACCEPTED
+    assert commander.start_mission(0.0, 0.0) is Result.ACCEPTED
     for _ in range(40):
         autopilot.advance(1000)
         assert np.isfinite(body.position).all()

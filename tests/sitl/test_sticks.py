@@ -66,7 +66,7 @@ def test_takeoff_and_landing_by_sticks(vehicle):
     in_mode(vehicle, 3)
     push(vehicle, throttle=1.0)
     assert vehicle.command(ARM, 1) == TEMPORARILY_REJECTED
-    assert vehicle.texts()[-1] == "Arming denied: high throttle"
+    assert vehicle.texts()[-1] == "Arming denied: throttle above center"
     push(vehicle, throttle=0.0)
     assert vehicle.command(ARM, 1) == ACCEPTED
     flown(vehicle, 3.0, throttle=0.0)
