@@ -145,7 +145,6 @@ class Destination:
         self.yaw = turned(self.yaw, goal, slew(self._p) * dt)
         return Setpoint(self.reference.position, self.reference.velocity, NAN3, self.yaw, NAN)
 
-
     def _gather_speed(self, dt: float) -> None:
         """The speed allowed grows to the cruise speed with WPNAV_JERK at both ends (an S-curve)."""
         most, jerk = self._limits, self._p["WPNAV_JERK"]
