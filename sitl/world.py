@@ -60,6 +60,6 @@ def world(p: Parameters, dead_reckoning_s: float, gps_fix: bool = True) -> World
 
 
 def in_the_air(craft: Rotorcraft, p: Parameters) -> Rotorcraft:
-    """A craft with the drag of the SITL_* parameters."""
+    """A craft with the drag of the SITL_* parameters on top of its own."""
     panel = 0.5 * AIR_DENSITY * p["SITL_PANEL_AREA"] * p["SITL_PANEL_CD"]
-    return craft._replace(drag_quadratic=p["SITL_KDQ"], panel=panel)
+    return craft._replace(drag_quadratic=craft.drag_quadratic + p["SITL_KDQ"], panel=panel)

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 from sitl.reference import Vec3
 
-LAG_MAX_M = 3.0
-"""The reference waits for a vehicle that is further behind: one that cannot tilt more must not be run away from."""
-SPEED_LAG_MAX = 4.0
+LAG_MAX_M = 1.0
+"""The reference waits for a vehicle that is further behind: ArduPilot moves it no further into a direction in which the
+lean angle is at its limit. Unlimited flight lags less than this."""
+SPEED_LAG_MAX = 1.0
 """Likewise for velocity [m/s]."""
 OVERSPEED_GAIN = 2.0
 """POSCONTROL_OVERSPEED_GAIN_Z."""

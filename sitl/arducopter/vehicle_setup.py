@@ -17,8 +17,8 @@ HOVER_THROTTLE = 0.39
 """MOT_THST_HOVER of the recorded vehicle: sizes the motors."""
 ATTITUDE_GAIN_MAX = 10.0
 """What the rate loop can follow [1/s]."""
-DRAG = 1.1
-"""Linear drag [N/(m/s)] that makes the recorded tilt in steady flight: 0.32 to 0.43 m/s2 per m/s on 3 kg."""
+DRAG, DRAG_QUADRATIC = 0.74, 0.083
+"""[N/(m/s)] and [N/(m/s)2]: least squares over the recorded flight, from tilt and acceleration at 1 to 10 m/s."""
 CELLS, CELL_FULL_V, CELL_EMPTY_V = 3, 4.2, 3.3
 """The simulated battery is 12.6 V when full (SIM_BATT_VOLTAGE)."""
 
@@ -42,6 +42,7 @@ def rotorcraft(p: Parameters) -> Rotorcraft:
         torque_max=0.35,
         motor_lag=0.05,
         drag=DRAG,
+        drag_quadratic=DRAG_QUADRATIC,
         angular_drag=0.02,
         health=(left[0], left[1], left[2], left[3]),
     )
