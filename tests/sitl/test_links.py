@@ -366,6 +366,24 @@ def test_a_flood_does_not_end_offboard_in_lockstep(hovering: Direct, kind: str, 
     assert hovering.velocity[0] == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs connected UDP sockets on a shared port, as Linux has them")
+@pytest.mark.parametrize("known", [False, True])
+def test_a_full_receive_buffer_of_a_flooder_keeps_nobody_else_out(vehicle: Direct, known: bool):
+    """More than the kernel has room for, then a client's frame: it gets through, be the flooder served or not."""
+    vehicle.fly(1)
+    flood = flood_frames()["heartbeats" if known else "garbage"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as flooder:
+        flooder.sendto(flood, vehicle.to)
+        vehicle.fly(0.1)
+        for _ in range(40_000):
+            flooder.sendto(flood, vehicle.to)
+        vehicle.send(mavlink.MAVLink_ping_message(9, 9, 0, 0))
+        vehicle.advance()
+    assert vehicle.latest["PING"].time_usec == 9
+    lost = [count["lost"] for count in vehicle.autopilot.network.counters().values()]
+    assert max(lost) > 1000
+
+
 @pytest.mark.timeout(120)
 def test_a_flood_does_not_end_offboard_when_paced():
     """The same with the server's own pacing, on a wall clock of the test's; a tick every 10 ms."""

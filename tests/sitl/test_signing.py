@@ -115,6 +115,9 @@ def test_any_changed_byte_is_refused(signed):
     signed.fly(0.1)
     assert counted(signed, "bad signature") == 5
     assert not signed.commander.armed
+    signed.udp.sendto(bytes(raw), signed.to)
+    signed.fly(0.1)
+    assert signed.commander.armed, "a forged timestamp of the future did not make the true one old"
 
 
 def test_a_replayed_frame_is_refused(signed):
