@@ -114,6 +114,16 @@ def heading(q: NDArray[np.float64]) -> float:
     return math.atan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]))
 
 
+def euler(q: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [rad] of an attitude."""
+    w, x, y, z = q.tolist()
+    return (
+        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        math.asin(min(max(2 * (w * y - x * z), -1.0), 1.0)),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+
+
 @compiled
 def turn(q: NDArray[np.float64], rates: NDArray[np.float64], dt: float) -> None:
     """Turn the attitude by constant body rates for dt: exact, and normalised again."""

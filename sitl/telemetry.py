@@ -11,21 +11,11 @@ import numpy as np
 
 from sitl import sensors
 from sitl.frames import Payload, pack
-from sitl.physics import GRAVITY, heading
+from sitl.physics import GRAVITY, euler, heading
 from sitl.reference import vector
 from sitl.vehicle import Vehicle
 
 NAN = math.nan
-
-
-def euler(q: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[float, float, float]:
-    """Roll, pitch, yaw [rad] of an attitude."""
-    w, x, y, z = q.tolist()
-    return (
-        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-        math.asin(min(max(2 * (w * y - x * z), -1.0), 1.0)),
-        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-    )
 
 
 def compass(yaw: float) -> float:

@@ -8,10 +8,10 @@ from sitl.arducopter.arming import READY_MS
 from sitl.arducopter.commander import Commander
 from sitl.arducopter.modes import Mode
 from sitl.frames import Payload, pack
-from sitl.physics import GRAVITY, heading
+from sitl.physics import GRAVITY, euler, heading
 from sitl.reference import vector
 from sitl.sensors import ACCELEROMETER, GYRO, measured
-from sitl.telemetry import compass, euler, int16
+from sitl.telemetry import compass, int16
 from sitl.vehicle import Vehicle
 
 NAN = math.nan

@@ -214,11 +214,10 @@ class Return:
 
 
 class Descend:
-    """What position mode does without sticks: level, coast, sink at MPC_LAND_SPEED."""
+    """What position mode does without sticks, and landing without a position: level, coast, sink at MPC_LAND_SPEED."""
 
-    landing = False
-
-    def __init__(self, body: Body, p: Parameters) -> None:
+    def __init__(self, body: Body, p: Parameters, landing: bool = False) -> None:
+        self.landing = landing
         self._sink = p["MPC_LAND_SPEED"]
         self._yaw = heading(body.attitude)
 

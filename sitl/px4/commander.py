@@ -570,7 +570,9 @@ class Commander:
         if action > max(before, Action.WARN):
             delay = self._failsafe.delay_s
             held = action is Action.HOLD and delay > 0.0
-            self.say(f"Failsafe activated, entering Hold for {delay:.0f} seconds" if held else "Failsafe activated", CRITICAL)
+            self.say(
+                f"Failsafe activated, entering Hold for {delay:.0f} seconds" if held else "Failsafe activated", CRITICAL
+            )
         mode = self._failsafe.mode(self.intended)
         if action in (Action.DISARM, Action.TERMINATE):
             self._stop("failsafe" if action is Action.DISARM else "flight termination")
@@ -654,10 +656,10 @@ class Commander:
             return
         self.breaches += 1
         self._look_due_ms = self.now_ms
-        self.say("Geofence violation" if self.breach is Breach.BOUNDARY else "Maximum altitude exceeded", CRITICAL)
+        self._say(BREACHED[self.breach], CRITICAL)
 
     def _watch_battery(self) -> None:
-        """Tell a battery that falls below BAT_LOW_THR, BAT_CRIT_THR, BAT_EMERGEN_THR; what is done is COM_LOW_BAT_ACT."""
+        """Tell a battery below BAT_LOW_THR, BAT_CRIT_THR, BAT_EMERGEN_THR; what is done is COM_LOW_BAT_ACT."""
         level = self.battery.level
         if level > self._battery_level:
             self.say(("Low battery", "Critical battery", "Emergency battery level")[level - 1], WARNING)

@@ -46,6 +46,12 @@ def pack(p: Parameters) -> Pack:
     )
 
 
+def rate_gains(p: Parameters, which: str) -> tuple[float, float, float]:
+    """MC_*RATE_P, I or D, times MC_*RATE_K."""
+    roll, pitch, yaw = (p[f"MC_{axis}RATE_{which}"] * p[f"MC_{axis}RATE_K"] for axis in ("ROLL", "PITCH", "YAW"))
+    return roll, pitch, yaw
+
+
 def gains(p: Parameters) -> Gains:
     """The control law of the MPC_* and MC_* parameters; with MPC_USE_HTE the hover thrust is the true one."""
     hover = p["SIH_MASS"] * GRAVITY / (4.0 * p["SIH_T_MAX"])
@@ -70,9 +76,9 @@ def gains(p: Parameters) -> Gains:
             math.radians(p["MC_PITCHRATE_MAX"]),
             math.radians(p["MC_YAWRATE_MAX"]),
         ),
-        rate_p=(p["MC_ROLLRATE_P"], p["MC_PITCHRATE_P"], p["MC_YAWRATE_P"]),
-        rate_i=(p["MC_ROLLRATE_I"], p["MC_PITCHRATE_I"], p["MC_YAWRATE_I"]),
-        rate_d=(p["MC_ROLLRATE_D"], p["MC_PITCHRATE_D"], p["MC_YAWRATE_D"]),
+        rate_p=rate_gains(p, "P"),
+        rate_i=rate_gains(p, "I"),
+        rate_d=rate_gains(p, "D"),
         rate_integral_max=(p["MC_RR_INT_LIM"], p["MC_PR_INT_LIM"], p["MC_YR_INT_LIM"]),
         yaw_torque_hz=p["MC_YAW_TQ_CUTOFF"],
     )

@@ -34,7 +34,7 @@ def test_names_types_and_defaults_are_px4s():
         ("SIH_MASS=0", ["SIH_MASS", "0", "0.1 to 100"]),
         ("SIH_MASS=nan", ["SIH_MASS", "nan"]),
         ("SIH_MASS=heavy", ["SIH_MASS", "heavy"]),
-        ("COM_OBL_RC_ACT=1", ["COM_OBL_RC_ACT", "0, 3, 4, 5"]),
+        ("RTL_CONE_ANG=1", ["RTL_CONE_ANG", "0, 25, 45, 65, 80, 90"]),
         ("MAV_TYPE=2.5", ["MAV_TYPE", "2.5"]),
         ("SIH_MASS", ["SIH_MASS", "NAME=VALUE"]),
     ],

@@ -119,11 +119,16 @@ def test_sticks_lost(action, mode):
 
 
 def test_sticks_regained(hovering):
+    """A failsafe for lost sticks lasts until the mode is changed, or, after its hold, until the sticks are moved."""
     in_mode(hovering, 3)
     hovering.fly(2)
     assert hovering.mode == LOITER
-    flown(hovering, 1.5)
+    flown(hovering, 1.5, forward=0.5)
     assert "Manual control regained" in hovering.texts()
+    assert hovering.mode == LOITER
+    flown(hovering, 4.0)
+    assert hovering.mode == RTL
+    flown(hovering, 1.5, forward=0.5)
     assert hovering.mode == POSCTL
 
 
