@@ -318,13 +318,13 @@ class MissionFlight:
         plans = self._plans
         item = self._item()
         following = self._seq + 1
-        if item is not None:
+        if item is not None and item.command == DO_JUMP:  # told to nobody, as autopilots do
+            followed = plans.jumps.get(self._seq, 0)
+            if item.p[1] < 0 or followed < item.p[1]:
+                plans.jumps[self._seq] = followed + 1
+                following = int(item.p[0])
+        elif item is not None:
             plans.reached.append(self._seq)
-            if item.command == DO_JUMP:
-                followed = plans.jumps.get(self._seq, 0)
-                if item.p[1] < 0 or followed < item.p[1]:
-                    plans.jumps[self._seq] = followed + 1
-                    following = int(item.p[0])
         if following >= len(plans.mission):
             plans.finished = True
             if not isinstance(self._leg, Fly):
