@@ -2,12 +2,16 @@
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airframe.power import Panel
 from sitl.battery import propulsion_power
 from sitl.compiled import compiled
+from sitl.constants import packed, unpacked_craft, unpacked_gains
 from sitl.control import Controller, Gains, Setpoint, control, controller_at_rest, rest
 from sitl.physics import Body, Rotorcraft, body_at_rest, heading, step_body
-from sitl.sensors import Estimator, Faults
+from sitl.sensors import Estimator, Faults, Loss
 from sitl.wind import Gusts
 from sitl.world import World
 
@@ -25,9 +29,16 @@ NOTHING = Setpoint(NAN3, NAN3, NAN3, math.nan, math.nan)
 
 @compiled
 def advance(
-    body: Body, c: Controller, setpoint: Setpoint, gains: Gains, craft: Rotorcraft, flying: bool, dt: float, steps: int
+    body: Body,
+    c: Controller,
+    setpoint: Setpoint,
+    constants: NDArray[np.float64],
+    flying: bool,
+    dt: float,
+    steps: int,
 ) -> None:
     """`steps` steps of dt [s]. Not flying: motors off, the controller forgets."""
+    gains, craft = unpacked_gains(constants), unpacked_craft(constants)
     for _ in range(steps):
         if flying:
             control(body, c, setpoint, gains, dt)
@@ -53,6 +64,7 @@ class FlightModel:
         self.wrecked = False
         """Whether it fell on its back; it does not fly again."""
         self._overturned = False
+        self._packed: tuple[Gains, Rotorcraft, NDArray[np.float64]] | None = None
         self._gusts = Gusts(seed)
 
     @property
@@ -63,8 +75,8 @@ class FlightModel:
     def sense(self, now_ms: int) -> None:
         """Look at what the sensors give at a time."""
         faults, world = self.faults, self.world
-        gps = world.gps_fix and now_ms >= faults.gps_until
-        self.estimator.step(now_ms, gps, now_ms >= faults.estimator_until, world.dead_reckoning_s)
+        gps = world.gps_fix and not faults.lost(Loss.GPS, now_ms)
+        self.estimator.step(now_ms, gps, not faults.lost(Loss.ESTIMATOR, now_ms), world.dead_reckoning_s)
 
     def repair(self) -> None:
         """All motors whole again, and the frame too."""
@@ -79,7 +91,7 @@ class FlightModel:
         self.truth.air[:] = wind.mean if wind.w20 == 0.0 else self._gust(tick_ms / 1000.0)
         if not self.estimator.perfect:
             setpoint = self._seen(setpoint, tick_ms / 1000.0)
-        advance(self.truth, self.controller, setpoint, self.gains, self._whole(), flying, dt, steps)
+        advance(self.truth, self.controller, setpoint, self._constants(), flying, dt, steps)
         q = self.truth.attitude
         if self._overturned and self.truth.contact_s[0] > 0.0:
             self.wrecked = True
@@ -87,6 +99,13 @@ class FlightModel:
         if not self.estimator.perfect:
             self.body.position[:] = self.truth.position + self.estimator.position_error
             self.body.velocity[:] = self.truth.velocity + self.estimator.velocity_error
+
+    def _constants(self) -> NDArray[np.float64]:
+        """Gains and craft as they are now, packed anew only when they changed."""
+        gains, craft = self.gains, self._whole()
+        if self._packed is None or self._packed[0] is not gains or self._packed[1] is not craft:
+            self._packed = (gains, craft, packed(gains, craft))
+        return self._packed[2]
 
     def _whole(self) -> Rotorcraft:
         """The craft as its faults leave it."""
