@@ -381,7 +381,10 @@ def vibration(v: Vehicle) -> Payload:
     )
 
 
-def fence_status(v: Vehicle) -> Payload:
+def fence_status(v: Vehicle) -> Payload | None:
+    """While there is a fence."""
+    if not v.parameters["FENCE_ENABLE"]:
+        return None
     c = commander(v)
     return pack(
         "FENCE_STATUS",
