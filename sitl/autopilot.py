@@ -14,7 +14,20 @@ from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
-from sitl.services import clock, commands, files, globe, logs, missions, parameters, setpoints, signing, sticks, streams
+from sitl.services import (
+    clock,
+    commands,
+    files,
+    globe,
+    heartbeats,
+    logs,
+    missions,
+    parameters,
+    setpoints,
+    signing,
+    sticks,
+    streams,
+)
 from sitl.telemetry import TEXT_CHUNK, statustexts
 from sitl.vehicle import Vehicle
 
@@ -52,6 +65,7 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
     "LOG_REQUEST_LIST": logs.log_request_list,
     "LOG_REQUEST_DATA": logs.log_request_data,
     "SETUP_SIGNING": signing.setup_signing,
+    "HEARTBEAT": heartbeats.heartbeat,
 }
 """Who answers which message; what is not here is taken note of by nobody."""
 

@@ -155,6 +155,10 @@ class Commander(Protocol):
 
     def set_home(self, position_ned: Vec3) -> None: ...
 
+    def hear_ground(self, system: int) -> None:
+        """A heartbeat of a ground station with this system id."""
+        ...
+
     def say(self, text: str, severity: int = INFO) -> None:
         """Tell the ground by STATUSTEXT."""
         ...

@@ -6,6 +6,7 @@ controlled by the estimate, so it really wanders by the error. Without GPS the e
 """
 
 import math
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +15,31 @@ ERROR_RATE = 0.1
 """Bandwidth of the estimator's error [rad/s]: it wanders within some tens of seconds."""
 
 
+class Loss(Enum):
+    """What a vehicle can be without."""
+
+    GPS = "gps_loss"
+    GROUND_STATION = "gcs_loss"
+    """Its heartbeats are not heard."""
+    STICKS = "sticks_loss"
+    ESTIMATOR = "estimator_loss"
+    """There is no solution: no position, no arming."""
+
+
 class Faults:
-    """What was injected, until when [ms of vehicle time]; inf = until it is taken back."""
+    """What was injected."""
 
     def __init__(self) -> None:
-        self.gps_until = 0.0
-        self.ground_until = 0.0
-        """No heartbeat of a ground station is heard."""
-        self.estimator_until = 0.0
-        """The estimator has no solution: no position, no arming."""
+        self._until_ms = dict.fromkeys(Loss, 0.0)
         self.motors = [1.0, 1.0, 1.0, 1.0]
         """What is left of each motor's thrust."""
+
+    def lose(self, what: Loss, until_ms: float) -> None:
+        """Be without it until a vehicle time; inf = until it is given back, 0 = give it back."""
+        self._until_ms[what] = until_ms
+
+    def lost(self, what: Loss, now_ms: int) -> bool:
+        return now_ms < self._until_ms[what]
 
 
 class Estimator:

@@ -189,6 +189,21 @@ class Land:
         return Setpoint((x, y, NAN), self._reference.velocity, NAN3, self._yaw, NAN)
 
 
+class BlindLand:
+    """Without a position: level, drifting with the wind, down as Land does by height."""
+
+    landing = True
+
+    def __init__(self, body: Body, p: Parameters, ground_down: float) -> None:
+        self._land = Land(body, p, ground_down)
+        self._ground_down = ground_down
+        self._yaw = heading(body.attitude)
+
+    def step(self, body: Body, dt: float) -> Setpoint:
+        sink = self._land.sink_rate(self._ground_down - float(body.position[2]))
+        return Setpoint(NAN3, (NAN, NAN, sink), (0.0, 0.0, NAN), self._yaw, NAN)
+
+
 class Return:
     """RTL: climb to RTL_ALT (or what RTL_CONE_SLOPE makes of it), fly home, wait RTL_LOIT_TIME, land.
 
