@@ -6,7 +6,7 @@ Each turns the state into a setpoint tick by tick; `landing` tells that it is on
 import math
 from dataclasses import replace
 
-from sitl.arducopter.shaper import Motion, Shape, held_back, limited, shaped, square_root
+from sitl.arducopter.shaper import Motion, Shape, eased_speed, held_back, limited, shaped, square_root
 from sitl.arducopter.vehicle_setup import limits, shape
 from sitl.control import Setpoint
 from sitl.parameters import Parameters
@@ -16,6 +16,10 @@ from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_p
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
 STILL: Vec3 = (0.0, 0.0, 0.0)
+JERK_SHARE = 0.57
+"""Of WPNAV_JERK, which is the peak of a raised cosine: held steadily, this makes the recorded S-curve of the return."""
+TIGHT = 100.0
+"""Times the jerk: so tightly is the speed of an S-curve followed."""
 YAW_FAR_M = 2.0
 """Nearer than this the nose no longer follows the way to a place."""
 
@@ -93,7 +97,7 @@ class Takeoff:
     """Straight up to a height, then hold there."""
 
     landing = False
-    CLOSE_M = 0.15
+    CLOSE_M = 0.03
     """So near to its height it is done; recorded at 9.98 of 10 m."""
 
     def __init__(self, body: Body, p: Parameters, target_down: float) -> None:
@@ -135,7 +139,10 @@ class Destination:
     def step(self, body: Body, dt: float) -> Setpoint:
         here = vector(body.position)
         self._gather_speed(dt)
-        within = replace(self._limits, speed_xy=self._speed)
+        most, jerk = self._limits, JERK_SHARE * self._p["WPNAV_JERK"]
+        left = math.dist(self.reference.position[:2], self.target[:2])
+        eased = eased_speed(left, most.speed_xy, most.acceleration_xy, jerk)
+        within = replace(most, speed_xy=min(self._speed, eased), jerk=TIGHT * jerk)
         self.reference = approach(self.reference, self.target, here, within, dt)
         goal = self._goal
         if math.isnan(goal):
@@ -147,7 +154,7 @@ class Destination:
 
     def _gather_speed(self, dt: float) -> None:
         """The speed allowed grows to the cruise speed with WPNAV_JERK at both ends (an S-curve)."""
-        most, jerk = self._limits, self._p["WPNAV_JERK"]
+        most, jerk = self._limits, JERK_SHARE * self._p["WPNAV_JERK"]
         ease_out = math.sqrt(2.0 * jerk * max(most.speed_xy - self._speed, 0.0))
         self._acceleration = min(self._acceleration + jerk * dt, most.acceleration_xy, ease_out)
         self._speed = min(self._speed + self._acceleration * dt, most.speed_xy)
@@ -157,6 +164,8 @@ class Land:
     """Brake and come down: at WPNAV_SPEED_DN (LAND_SPEED_HIGH), at LAND_SPEED below LAND_ALT_LOW."""
 
     landing = True
+    AHEAD_M = 0.5
+    """The height asked for is no further below the vehicle, also when that stands on the ground."""
 
     def __init__(self, body: Body, p: Parameters, ground_down: float, place: tuple[float, float] | None = None) -> None:
         self._p = p
@@ -168,13 +177,11 @@ class Land:
         self._yaw = heading(body.attitude)
 
     def sink_rate(self, height: float) -> float:
-        """[m/s] at a height [m]; braking begins early enough to be slow at LAND_ALT_LOW."""
+        """[m/s] at a height [m]: a square-root controller of the height above LAND_ALT_LOW."""
         p = self._p
-        slow, low = p["LAND_SPEED"] * 0.01, p["LAND_ALT_LOW"] * 0.01
-        if height <= low:
-            return slow
         fast = p["LAND_SPEED_HIGH"] * 0.01 or self._limits.speed_down
-        return max(slow, min(fast, math.sqrt(slow * slow + 2.0 * self._limits.acceleration_z * (height - low))))
+        high = height - p["LAND_ALT_LOW"] * 0.01
+        return max(p["LAND_SPEED"] * 0.01, min(fast, square_root(high, p["PSC_POSZ_P"], self._limits.acceleration_z)))
 
     def step(self, body: Body, dt: float) -> Setpoint:
         here = vector(body.position)
@@ -182,11 +189,11 @@ class Land:
         flat = approach(self._reference, level, (here[0], here[1], self._reference.position[2]), self._limits, dt)
         sink = self.sink_rate(self._ground_down - here[2])
         down = follow(self._reference, (0.0, 0.0, sink), self._limits, dt).velocity[2]
+        below = min(self._reference.position[2] + down * dt, here[2] + self.AHEAD_M)
         self._reference = Reference(
-            (flat.position[0], flat.position[1], here[2]), (flat.velocity[0], flat.velocity[1], down)
+            (flat.position[0], flat.position[1], below), (flat.velocity[0], flat.velocity[1], down)
         )
-        x, y, _ = self._reference.position
-        return Setpoint((x, y, NAN), self._reference.velocity, NAN3, self._yaw, NAN)
+        return Setpoint(self._reference.position, self._reference.velocity, NAN3, self._yaw, NAN)
 
 
 class BlindLand:

@@ -76,6 +76,29 @@ def shaped(motion: Motion, wish: Vec3, shape: Shape, dt: float) -> Motion:
     return moved(motion, acceleration, dt)
 
 
+def eased_speed(distance: float, top: float, acceleration: float, jerk: float) -> float:
+    """Speed [m/s] at a distance [m] from rest on an S-curve that brakes from `top` (AP_Math/SCurve.cpp)."""
+    if top <= 0.0:
+        return 0.0
+    peak = min(acceleration, math.sqrt(jerk * top))
+    ease = peak / jerk
+    slow = 0.5 * peak * ease
+    last = peak * ease * ease / 6.0
+    if distance <= last:
+        return 0.5 * jerk * math.pow(6.0 * distance / jerk, 2.0 / 3.0)
+    fast = top - slow
+    steady = last + (fast * fast - slow * slow) / (2.0 * peak)
+    if distance <= steady:
+        return math.sqrt(slow * slow + 2.0 * peak * (distance - last))
+    begun = steady + top * ease - peak * ease * ease / 6.0 - distance
+    if begun <= 0.0:
+        return top
+    t = begun / top
+    for _ in range(4):
+        t += (begun - top * t + jerk * t * t * t / 6.0) / (top - 0.5 * jerk * t * t)
+    return top - 0.5 * jerk * t * t
+
+
 def moved(motion: Motion, acceleration: Vec3, dt: float) -> Motion:
     """Integrate an acceleration over dt."""
     p, v = motion.position, motion.velocity

@@ -122,6 +122,7 @@ def test_takeoff_takes_as_long_as_recorded():
         vehicle.boot()
         assert vehicle.command(176, 1, 4) == 0
         assert vehicle.command(400, 1) == 0
+        vehicle.fly(2)
         asked_ms = vehicle.time_ms
         assert vehicle.command(22, 0, 0, 0, 0, 0, 0, 10.0) == 0
         for height in (0.1, 5.0, 9.85):
