@@ -5,6 +5,9 @@ import math
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
+from sitl.arducopter.parameters import TABLE
+from sitl.arducopter.sticks import climb_rate
+from sitl.parameters import Parameters
 from tests.sitl.copter import AUTO, GUIDED, LAND, LOITER, RTL, STABILIZE, copter
 from tests.sitl.plans import (
     CHANGE_SPEED,
@@ -276,6 +279,17 @@ def test_loiter_by_sticks_and_back_to_the_simulated_radio(hovering_copter):
     vehicle.fly(3)
     assert vehicle.position == pytest.approx(place, abs=0.3)
     assert vehicle.mode == LOITER
+
+
+def test_throttle_stick_to_climb_rate():
+    """PILOT_SPEED_UP and PILOT_SPEED_DN (0: as up) beyond THR_DZ."""
+    p = Parameters(TABLE)
+    assert [climb_rate(stick, p) for stick in (-1.0, -0.55, -0.1, 0.0, 0.1, 0.55, 1.0)] == pytest.approx(
+        [-2.5, -1.25, 0.0, 0.0, 0.0, 1.25, 2.5]
+    )
+    p.set("PILOT_SPEED_DN", 100.0)
+    assert climb_rate(-1.0, p) == pytest.approx(-1.0)
+    assert climb_rate(1.0, p) == pytest.approx(2.5)
 
 
 def test_takeoff_and_landing_by_sticks_in_stabilize(ready):

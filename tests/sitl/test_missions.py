@@ -209,6 +209,8 @@ def test_a_mission_without_takeoff_item_climbs_first(vehicle):
 def test_mission_lands_and_disarms(vehicle):
     fly_mission(vehicle, [item(TAKEOFF, up=5.0), item(LAND, 10.0, -5.0, 0.0)])
     vehicle.until(lambda: vehicle.landed == 4, 40)  # landing
+    assert math.dist(vehicle.position[:2], (10.0, -5.0)) < 2.2
+    assert vehicle.position[2] < -4.0  # level to above the place, then down
     vehicle.until(lambda: not vehicle.armed, 60)
     assert vehicle.position == pytest.approx((10, -5, 0), abs=0.5)
     assert reached(vehicle) == [0, 1]

@@ -41,6 +41,9 @@ def test_stick_modes_need_sticks(hovering):
 
 def test_position_mode_flies_by_heading_and_holds_when_centred(hovering):
     in_mode(hovering, 3)
+    flown(hovering, 3.0, right=0.5)
+    assert hovering.velocity[1] > 1.5
+    assert abs(hovering.velocity[0]) < 0.2
     flown(hovering, 4.0, yaw=0.4)  # turn to the right
     flown(hovering, 2.0)
     yaw = hovering.latest["ATTITUDE"].yaw
