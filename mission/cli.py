@@ -11,6 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from sitl.cli import sitl
+from sitl.conformance.cli import conformance
 
 if TYPE_CHECKING:
     import zenoh
@@ -82,6 +83,7 @@ def fly(
 
 
 app.command(name="sitl")(sitl)
+app.command(name="conformance")(conformance)
 
 
 @app.command()
