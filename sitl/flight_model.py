@@ -17,8 +17,8 @@ from sitl.world import World
 
 STEP_MS = 4.0
 """Longest physics step [ms]: 250 Hz, PX4's SIH rate."""
-OVERTURNED = 0.25
-"""sin^2 of half the tilt, 60 degrees: what meets the ground so does not fly again."""
+OVERTURNED = math.sin(math.radians(45.0) / 2.0) ** 2
+"""sin^2 of half the tilt: what meets the ground tilted by more than 45 degrees does not fly again."""
 
 STILL_AIR = World()
 WHOLE = [1.0, 1.0, 1.0, 1.0]

@@ -44,6 +44,8 @@ BREACHED = {
     Breach.MAXALT: "Geofence: exceeding maximum altitude above Home",
 }
 """PX4's texts."""
+GROUND_NOTICED_S = 1.7
+"""From touching the ground until thrust has fallen so far that PX4 takes it for contact, as recorded."""
 THRUST_ON_GROUND = 0.6
 """Share of the hover thrust below which a vehicle flown by thrust is believed to stay on the ground."""
 THROTTLE_LOW = -0.9
@@ -408,7 +410,7 @@ class Commander:
             if math.isfinite(self._takeoff_altitude):
                 target = self._origin_altitude - self._takeoff_altitude
             # Never down: a takeoff to below where the vehicle is, stays.
-            self._autonomous = Takeoff(body, p, min(target, float(body.position[2])))
+            self._autonomous = Takeoff(body, p, min(target, float(body.position[2])), home[2], lambda: self.flying)
         elif mode is Mode.LAND:
             self._autonomous = Land(body, p, home[2])
         elif mode is Mode.DESCEND:
@@ -473,7 +475,7 @@ class Commander:
 
     def _watch_ground(self) -> None:
         contact = float(self._body.contact_s[0])
-        if self.flying and contact == 0.0:
+        if self.flying and (contact == 0.0 or self._carried()):
             if not self._flown_since_arming:
                 self._flown_since_arming = True
                 self.has_flown = True
@@ -487,7 +489,7 @@ class Commander:
                 self.landed = Landed.LANDING
             else:
                 self.landed = Landed.IN_AIR
-        elif self.flying and self._ramp_ms is None and contact >= self._p["LNDMC_TRIG_TIME"]:
+        elif self.flying and self._ramp_ms is None and contact >= GROUND_NOTICED_S + self._p["LNDMC_TRIG_TIME"]:
             wanted_down = float(self._controller.velocity_setpoint[2])
             if self._model.wrecked or (not wanted_down < -0.05 and not self._pushes):
                 self.flying = False
@@ -496,6 +498,11 @@ class Commander:
                 self.say("Landing detected")
         if not self.flying:
             self._watch_idle()
+
+    def _carried(self) -> bool:
+        """Whether the thrust of a takeoff is believed to carry the vehicle."""
+        thrust = math.sqrt(sum(float(x) ** 2 for x in self._controller.thrust_setpoint))
+        return self._ramp_ms is not None and thrust > THRUST_ON_GROUND * self._p["MPC_THR_HOVER"]
 
     def _watch_idle(self) -> None:
         """Auto-disarm: after landing, or when armed without ever taking off."""
@@ -568,11 +575,8 @@ class Commander:
         """Fly what was decided, and tell when it is worse than before."""
         action = self._failsafe.action
         if action > max(before, Action.WARN):
-            delay = self._failsafe.delay_s
-            held = action is Action.HOLD and delay > 0.0
-            self.say(
-                f"Failsafe activated, entering Hold for {delay:.0f} seconds" if held else "Failsafe activated", CRITICAL
-            )
+            hold = f", entering Hold for {self._failsafe.delay_s:.0f} seconds" if self._failsafe.waits else ""
+            self.say(f"Failsafe activated{hold}", CRITICAL)
         mode = self._failsafe.mode(self.intended)
         if action in (Action.DISARM, Action.TERMINATE):
             self._stop("failsafe" if action is Action.DISARM else "flight termination")

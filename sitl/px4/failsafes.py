@@ -133,7 +133,9 @@ class Failsafe:
     cause: str = ""
     reactions: Mapping[str, Reaction] = field(default_factory=dict)
     delay_s: float = 0.0
-    """Left of the hold before `delayed`."""
+    """Left of the hold."""
+    waits: bool = False
+    """Whether what is done is that hold."""
     next_delay_s: float | None = None
     """How long the next hold will be; None: COM_FAIL_ACT_T."""
     taken_over: bool = False
@@ -147,7 +149,10 @@ class Failsafe:
     @property
     def idle(self) -> bool:
         """Whether nothing is wrong or remembered."""
-        return not self.reactions and self.next_delay_s is None and self.action is Action.NONE and not self.taken_over
+        return self == IDLE
+
+
+IDLE = Failsafe()
 
 
 def can_fly(mode: Mode, c: Conditions) -> bool:
@@ -264,8 +269,7 @@ def follow(
         delay = 0.0
     step = replace(before, reactions=known, delay_s=delay, taken_over=taken_over, by_sticks=False)
     step = chosen(step, c, intended, p, new_mode and not before.by_sticks, sticks_moved)
-    waits = step.delay_s > 0.0
-    next_delay = max(next_delay - dt, 0.0) if waits else min(next_delay + RECOVERY * dt, full)
+    next_delay = max(next_delay - dt, 0.0) if step.waits else min(next_delay + RECOVERY * dt, full)
     return replace(step, next_delay_s=None if next_delay == full else next_delay)
 
 
@@ -292,9 +296,8 @@ def chosen(
         by_sticks = sticks_moved and not step.taken_over and not switched
         instead = fallback(c, Mode.POSCTL if by_sticks else intended, p)
         action = possible(max(Action.WARN, instead), c)
-        return replace(step, action=action, cause=cause, taken_over=True, by_sticks=by_sticks, delay_s=0.0)
+        return replace(step, action=action, cause=cause, taken_over=True, by_sticks=by_sticks, waits=False)
     action = possible(action, c)
     if intended is Mode.LAND and Action.RETURN in (action, delayed) and can_fly(Mode.LAND, c):
         action, delayed = Action.WARN, Action.NONE  # it lands already
-    delay = step.delay_s if delayed else 0.0
-    return replace(step, action=action, cause=cause if action else "", taken_over=False, delay_s=delay)
+    return replace(step, action=action, cause=cause if action else "", taken_over=False, waits=delayed > Action.NONE)
