@@ -23,9 +23,12 @@ CLOCKS = frozenset({"ATTITUDE", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "PO
 """Messages whose time_boot_ms is when they were made."""
 EVERY_S = {"LOCAL_POSITION_NED": 0.05, "ATTITUDE": 0.1}
 """What a cut recording keeps of the motion."""
-ON_CHANGE = {"EXTENDED_SYS_STATE": ("landed_state",), "HEARTBEAT": ("base_mode", "custom_mode", "system_status")}
+ON_CHANGE = {
+    "EXTENDED_SYS_STATE": ("landed_state",),
+    "HEARTBEAT": ("base_mode", "custom_mode", "system_status"),
+    "HOME_POSITION": ("altitude", "z"),
+}
 """What it keeps only around a change, and of which fields."""
-ONCE = frozenset({"HOME_POSITION"})
 ALWAYS = frozenset({"COMMAND_ACK", "STATUSTEXT"})
 
 
@@ -108,11 +111,11 @@ def cut(recorded: list[Stamped], client: int, system: int = 1) -> list[Stamped]:
         if name in EVERY_S and one.time_s >= due.get(name, 0.0):
             due[name] = one.time_s + EVERY_S[name] - 1e-3
             kept.append(one)
-        elif name in ALWAYS or (name in ONCE and name not in due):
+        elif name in ALWAYS:
             text = one.frame.raw[10:-2] if name == "STATUSTEXT" else b""
             if not text or one.time_s - texts.get(text, -1.0) > 0.1:  # the same on the other link
                 kept.append(one)
-            texts[text] = due[name] = one.time_s
+            texts[text] = one.time_s
         elif name in ON_CHANGE:
             message = one.message
             value = tuple(getattr(message, field) for field in ON_CHANGE[name])

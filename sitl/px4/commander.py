@@ -46,6 +46,8 @@ BREACHED = {
 """PX4's texts."""
 GROUND_NOTICED_S = 1.7
 """From touching the ground until thrust has fallen so far that PX4 takes it for contact, as recorded."""
+LOWEST_SHARE = 0.1
+"""Of the way from the lowest thrust to the hover thrust: less is the lowest."""
 THRUST_ON_GROUND = 0.6
 """Share of the hover thrust below which a vehicle flown by thrust is believed to stay on the ground."""
 THROTTLE_LOW = -0.9
@@ -500,9 +502,10 @@ class Commander:
             self._watch_idle()
 
     def _carried(self) -> bool:
-        """Whether the thrust of a takeoff is believed to carry the vehicle."""
+        """Whether a takeoff's thrust is no longer the lowest: takeoff is detected before the vehicle lifts off."""
         thrust = math.sqrt(sum(float(x) ** 2 for x in self._controller.thrust_setpoint))
-        return self._ramp_ms is not None and thrust > THRUST_ON_GROUND * self._p["MPC_THR_HOVER"]
+        lowest, hover = self._p["MPC_THR_MIN"], self._p["MPC_THR_HOVER"]
+        return self._ramp_ms is not None and thrust > lowest + LOWEST_SHARE * (hover - lowest)
 
     def _watch_idle(self) -> None:
         """Auto-disarm: after landing, or when armed without ever taking off."""
