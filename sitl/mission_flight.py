@@ -75,6 +75,8 @@ class Manners:
     """Fastest turn [rad/s]."""
     first_height: float
     """Takeoff put before a mission that begins on the ground without one [m above home] (MIS_TAKEOFF_ALT)."""
+    tells_orders: bool
+    """Whether MISSION_ITEM_REACHED is said of items that only order something (speed, home, camera)."""
     takeoff_goes_there: bool
     """Whether a takeoff item's own latitude and longitude are flown to after the climb."""
 
@@ -323,7 +325,7 @@ class MissionFlight:
             if item.p[1] < 0 or followed < item.p[1]:
                 plans.jumps[self._seq] = followed + 1
                 following = int(item.p[0])
-        elif item is not None:
+        elif item is not None and (self._manners.tells_orders or item.command in PLACES | {RETURN, DELAY}):
             plans.reached.append(self._seq)
         if following >= len(plans.mission):
             plans.finished = True

@@ -444,14 +444,24 @@ def hil_state_quaternion(v: Vehicle) -> Payload:
 
 
 def mission_current(v: Vehicle) -> Payload:
-    """mission_state: 2 not begun, 3 flown, 4 paused, 5 done; mission_mode: 1 in mission mode, 2 in another."""
+    """mission_state: 2 not begun, 3 flown, 4 paused, 5 done; mission_mode: 1 in mission mode, 2 in another.
+
+    Without a mission PX4 was recorded to leave both unknown; ArduPilot says 1, and does not count its home.
+    """
     plans = v.commander.plans
-    if not plans.mission:  # as recorded
-        return pack("MISSION_CURRENT", seq=0, total=65535, mission_state=0, mission_mode=0)
+    if not plans.flyable:
+        state = int(v.personality.missions.home_first)
+        return pack("MISSION_CURRENT", seq=0, total=65535, mission_state=state, mission_mode=0)
     flown = v.commander.armed and v.commander.in_mission
     state = 5 if plans.finished else 3 if flown else 4 if plans.begun else 2
     mode = 1 if v.commander.in_mission else 2
-    return pack("MISSION_CURRENT", seq=plans.current, total=len(plans.mission), mission_state=state, mission_mode=mode)
+    return pack(
+        "MISSION_CURRENT",
+        seq=plans.current,
+        total=len(plans.mission) - plans.first,
+        mission_state=state,
+        mission_mode=mode,
+    )
 
 
 MESSAGES: dict[str, Callable[[Vehicle], Payload | None]] = {

@@ -82,6 +82,7 @@ class Commander:
         self._told_ms = 0
         """Until when the texts of the boot have been said."""
         self.sticks = StickInput()
+        self._counted = (0, 0)
         self._auto_armed = False
         """Whether AUTO may leave the ground: by MISSION_START, a raised throttle, or once flown."""
         self._mission_changes = 0
@@ -341,6 +342,7 @@ class Commander:
     def step(self, dt: float) -> Setpoint:
         """Decide what is flown for the coming tick of dt [s]; `flying` tells whether at all."""
         self._boot()
+        self._count_plans()
         if self.armed:
             self._watch_battery()
             self._watch_ground_station()
@@ -505,6 +507,14 @@ class Commander:
         if self.mode is Mode.AUTO and self.plans.mission_changes != self._mission_changes:
             self._mission_changes = self.plans.mission_changes
             self._enter(Mode.AUTO if self.plans.flyable else Mode.LOITER)
+
+    def _count_plans(self) -> None:
+        """MIS_TOTAL, home included, and FENCE_TOTAL follow what is uploaded."""
+        changes = (self.plans.mission_changes, self.plans.fence_changes)
+        if changes != self._counted:
+            self._counted = changes
+            self._p.set("MIS_TOTAL", max(len(self.plans.mission), 1))
+            self._p.set("FENCE_TOTAL", len(self.plans.fence))
 
     def _watch_sticks(self) -> None:
         """Modes for sticks are flown by them while they are there (RC_OVERRIDE_TIME); AUTO waits for the throttle."""

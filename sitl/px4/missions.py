@@ -22,6 +22,7 @@ def manners(p: Parameters) -> Manners:
         height=p["NAV_MC_ALT_RAD"],
         yaw_rate=math.radians(p["MPC_YAWRAUTO_MAX"]),
         first_height=p["MIS_TAKEOFF_ALT"],
+        tells_orders=True,
         takeoff_goes_there=True,
     )
 
