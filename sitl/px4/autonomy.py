@@ -62,7 +62,7 @@ class Loiter:
         self._yaw = heading(body.attitude)
 
     def step(self, body: Body, dt: float) -> Setpoint:
-        self._reference = eased(self._reference, self.target, vector(body.position), self._limits, dt)
+        self._reference = approach(self._reference, self.target, vector(body.position), self._limits, dt)
         return tracking(self._reference, self._yaw)
 
 
@@ -217,17 +217,17 @@ class Return:
 
     def step(self, body: Body, dt: float) -> Setpoint:
         self._next_phase(body, dt)
-        if self._land is not None:
-            return self._land.step(body, dt)
         position = vector(body.position)
-        climbing = replace(self._limits, braking_z=self._limits.acceleration_z)
-        within = climbing if self._phase == "climb" else self._limits
-        self._reference = eased(self._reference, self.target, position, within, dt)
         if self._phase != "climb":
             north, east = self._home[0] - position[0], self._home[1] - position[1]
             far = self._phase == "cruise" and math.hypot(north, east) > self._p["NAV_ACC_RAD"]
             goal = math.atan2(east, north) if far else self._home_yaw
             self._yaw = turned(self._yaw, goal, math.radians(self._p["MPC_YAWRAUTO_MAX"]) * dt)
+        if self._land is not None:
+            return self._land.step(body, dt)._replace(yaw=self._yaw)
+        climbing = replace(self._limits, braking_z=self._limits.acceleration_z)
+        within = climbing if self._phase == "climb" else self._limits
+        self._reference = eased(self._reference, self.target, position, within, dt)
         return tracking(self._reference, self._yaw)
 
 
