@@ -3,7 +3,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: fly test lint clean
+.PHONY: fly test lint fuzz clean
 
 fly: $(STAMP)  ## install and fly the demo mission
 	$(BIN)/aerialstar fly missions/demo.yaml
@@ -16,6 +16,14 @@ lint: $(STAMP)  ## style, types, import rule
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+FUZZ_S ?= 600
+
+fuzz: $(STAMP)  ## throw made-up input at the simulated autopilot for FUZZ_S seconds; findings are written to fuzz/
+	$(BIN)/pip install --quiet -e ".[fuzz]"
+	mkdir -p fuzz/corpus
+	$(BIN)/python -m tests.fuzz.fuzz_autopilot -max_total_time=$(FUZZ_S) -max_len=4096 -len_control=0 \
+		-artifact_prefix=fuzz/ fuzz/corpus
 
 # A torch that is already in the environment is kept: pip only adds what is missing.
 $(STAMP): pyproject.toml constraints.txt

@@ -12,6 +12,7 @@ from typer.exceptions import TyperException
 
 from mission.reproduce import FIGURES, ReproduceError
 from sitl.cli import sitl
+from sitl.conformance.cli import conformance
 
 if TYPE_CHECKING:
     import zenoh
@@ -99,6 +100,7 @@ def fly(
 
 
 app.command(name="sitl")(sitl)
+app.command(name="conformance")(conformance)
 
 rf = typer.Typer(invoke_without_command=True)
 app.add_typer(rf, name="rf")

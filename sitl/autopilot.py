@@ -2,6 +2,7 @@
 
 import sys
 import traceback
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +14,20 @@ from sitl.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
-from sitl.services import clock, commands, files, globe, logs, missions, parameters, setpoints, signing, sticks, streams
+from sitl.services import (
+    clock,
+    commands,
+    files,
+    globe,
+    heartbeats,
+    logs,
+    missions,
+    parameters,
+    setpoints,
+    signing,
+    sticks,
+    streams,
+)
 from sitl.telemetry import TEXT_CHUNK, statustexts
 from sitl.vehicle import Vehicle
 
@@ -44,11 +58,14 @@ SERVICES: dict[str, Callable[[Vehicle, Link, Message], None]] = {
     "MISSION_REQUEST": missions.mission_request,
     "MISSION_REQUEST_INT": missions.mission_request_int,
     "MISSION_ACK": missions.mission_ack,
+    "MISSION_REQUEST_PARTIAL_LIST": missions.mission_request_partial_list,
+    "MISSION_WRITE_PARTIAL_LIST": missions.mission_request_partial_list,
     "MISSION_SET_CURRENT": missions.mission_set_current,
     "FILE_TRANSFER_PROTOCOL": files.file_transfer_protocol,
     "LOG_REQUEST_LIST": logs.log_request_list,
     "LOG_REQUEST_DATA": logs.log_request_data,
     "SETUP_SIGNING": signing.setup_signing,
+    "HEARTBEAT": heartbeats.heartbeat,
 }
 """Who answers which message; what is not here is taken note of by nobody."""
 
@@ -59,7 +76,7 @@ class Autopilot:
     def __init__(
         self, personality: Personality, p: Parameters, origin: Origin, network: Network, seed: int, epoch_us: int
     ) -> None:
-        model = FlightModel(personality.gains(p), personality.craft(p))
+        model = FlightModel(personality.gains(p), personality.craft(p), personality.world(p), seed)
         self.vehicle = Vehicle(
             personality=personality,
             model=model,
@@ -72,7 +89,8 @@ class Autopilot:
         self.network = network
         self._parameter_changes = p.changes
         self._texts = 0
-        self._failed: set[str] = set()
+        self.defects: Counter[str] = Counter()
+        """Messages that a service or telemetry could not bear, told once per kind; there should be none."""
 
     @property
     def now_ms(self) -> int:
@@ -88,22 +106,29 @@ class Autopilot:
                 self._serve(service, link, received)
 
     def _serve(self, service: Callable[[Vehicle, Link, Message], None], link: Link, received: Frame) -> None:
-        """A message that a service cannot bear is a defect, told once per kind; the vehicle flies on."""
+        """A message that a service cannot bear is a defect; the vehicle flies on."""
         try:
             service(self.vehicle, link, decode(received))
         except Exception:  # noqa: BLE001 - whatever it is, it must not end the flight
-            link.counters[f"failed {received.name}"] += 1
-            if received.name not in self._failed:
-                self._failed.add(received.name)
-                print(f"defect: {received.name} {received.raw.hex()}: {traceback.format_exc()}", file=sys.stderr)
+            self._tell_defect(received.name, received.raw)
 
-    def advance(self, duration_ms: int, receive_each_tick: bool = False) -> None:
+    def _build(self, name: str) -> Payload | None:
+        try:
+            return self.vehicle.personality.messages[name](self.vehicle)
+        except Exception:  # noqa: BLE001 - as above
+            self._tell_defect(name, b"")
+            return None
+
+    def _tell_defect(self, name: str, raw: bytes) -> None:
+        self.defects[name] += 1
+        if self.defects[name] == 1:
+            print(f"defect: {name} {raw.hex()}: {traceback.format_exc()}", file=sys.stderr)
+
+    def advance(self, duration_ms: int) -> None:
         """Move on by duration_ms of vehicle time, in ticks of at most 10 ms, sending the telemetry due."""
         while duration_ms > 0:
             tick = min(TICK_MS, duration_ms)
             duration_ms -= tick
-            if receive_each_tick:
-                self.receive()
             self._tick(tick)
 
     def _tick(self, tick_ms: int) -> None:
@@ -112,8 +137,12 @@ class Autopilot:
             self._parameter_changes = v.parameters.changes
             v.model.gains = v.personality.gains(v.parameters)
             v.model.craft = v.personality.craft(v.parameters)
+            v.model.world = v.personality.world(v.parameters)
             v.commander.battery.pack = v.personality.pack(v.parameters)
-        setpoint = v.commander.step(tick_ms / 1000.0)
+        dt = tick_ms / 1000.0
+        v.model.sense(v.now_ms)
+        setpoint = v.commander.step(dt)
+        v.commander.battery.drain(v.model.power_w if v.commander.flying else 0.0, dt)
         v.model.advance(setpoint, v.commander.flying, tick_ms)
         v.commander.now_ms += tick_ms
         self._send_due()
@@ -122,11 +151,10 @@ class Autopilot:
         v = self.vehicle
         now = v.now_ms
         talks = now >= v.personality.timeline.telemetry_ms
-        messages = v.personality.messages
         built: dict[str, Payload | None] = {}
         missions.tell_progress(v, self.network.links)
         for name in v.commander.news:
-            news = messages[name](v)
+            news = self._build(name)
             if news is not None:
                 for link in self.network.links:
                     link.send(news)
@@ -137,7 +165,7 @@ class Autopilot:
                 continue
             for name in link.due(now):
                 if name not in built:
-                    built[name] = messages[name](v)
+                    built[name] = self._build(name)
                 payload = built[name]
                 if payload is not None:
                     link.send(payload)

@@ -20,7 +20,7 @@ def sitl(
     ] = 14580,
     tcp_port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Serve TCP clients too, on this port; 0: any.  [arducopter: 5760]"),
+        typer.Option(min=0, max=65535, help="Serve TCP clients too, on this port; 0: any. arducopter: 5760."),
     ] = None,
     speed: Annotated[
         float, typer.Option(min=0.01, max=1000.0, help="Vehicle seconds per second of wall clock, when paced.")

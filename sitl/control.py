@@ -76,7 +76,8 @@ class Setpoint(NamedTuple):
     yaw_rate: float
     """[rad/s]; NaN = none."""
     climb_max: float = math.inf
-    """Climb limit [m/s] on top of the parameter's; PX4's takeoff ramp starts it below zero."""
+    """Climb limit [m/s] on top of the parameter's; PX4's takeoff ramp starts it below zero. As long as there is one the
+    velocity integral is kept on the ground, too: it delays PX4's lift-off by a second."""
     thrust_min: float = 0.0
     """MPC_THR_MIN in flight, 0 until then."""
     thrust: float = math.nan
@@ -177,7 +178,8 @@ def velocity_from_position(body: Body, setpoint: Setpoint, gains: Gains, out: ND
     if not math.isnan(out[0]) and not math.isnan(out[1]):
         out[0], out[1] = prioritise(towards[0], towards[1], forward[0], forward[1], gains.speed_xy_max)
     if not math.isnan(out[2]):
-        out[2] = min(max(out[2], -min(gains.speed_up_max, setpoint.climb_max)), gains.speed_down_max)
+        # The ramp's limit wins, which begins further down than MPC_Z_VEL_MAX_DN.
+        out[2] = max(min(out[2], gains.speed_down_max), -min(gains.speed_up_max, setpoint.climb_max))
 
 
 @compiled
@@ -196,6 +198,8 @@ def control_velocity(body: Body, c: Controller, setpoint: Setpoint, gains: Gains
             wanted += (
                 gains.velocity_p[i] * error[i] + c.velocity_integral[i] - gains.velocity_d[i] * c.velocity_derivative[i]
             )
+        else:  # forgotten, as recorded when OFFBOARD was entered again after a coasting failsafe
+            c.velocity_integral[i] = 0.0
         c.acceleration_setpoint[i] = wanted
 
     a = c.acceleration_setpoint
@@ -462,8 +466,9 @@ def control(body: Body, c: Controller, setpoint: Setpoint, gains: Gains, dt: flo
     else:
         take_thrust(body, c, setpoint)
     if body.contact_s[0] > 0.0:  # integrals must not wind up against the ground
-        c.velocity_integral[:] = 0.0
         c.rate_integral[:] = 0.0
+        if math.isinf(setpoint.climb_max):
+            c.velocity_integral[:] = 0.0
     if math.isnan(setpoint.rates[0]):
         control_attitude(body, c, setpoint, gains)
     else:

@@ -68,7 +68,7 @@ class Link:
         self._talks_first = talks_first
         self._sequence = 0
         self._queue: list[tuple[float, int, str, Stream]] = []
-        """Streams by when they are due, then by age; one that is not in `streams` any more is passed over."""
+        """Streams by when they were due, then by age; one that is not in `streams` any more is passed over."""
         self._entered = 0
         self.reset_streams(now_ms)
 
@@ -109,15 +109,19 @@ class Link:
 
     def due(self, now_ms: int) -> Iterator[str]:
         """The messages to stream now, by name."""
+        if not self.streaming:
+            beat = self.streams.get("HEARTBEAT")
+            if beat is not None and beat.take_due(now_ms):
+                yield "HEARTBEAT"
+            return
         queue = self._queue
         while queue and queue[0][0] <= now_ms:
             _, age, name, stream = heappop(queue)
             if self.streams.get(name) is not stream:
                 continue
-            stream.take_due(now_ms)
-            heappush(queue, (stream.due_ms, age, name, stream))
-            if self.streaming or name == "HEARTBEAT":
+            if stream.take_due(now_ms):
                 yield name
+            heappush(queue, (stream.due_ms, age, name, stream))
 
     def send(self, payload: Payload) -> None:
         """Frame, sign if need be, and send; nobody listening is no error."""

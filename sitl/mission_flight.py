@@ -29,7 +29,6 @@ from sitl.reference import (
     Limits,
     Reference,
     Vec3,
-    follow,
     lead,
     speed_for_distance,
     stopping_point,
@@ -76,6 +75,8 @@ class Manners:
     """Fastest turn [rad/s]."""
     first_height: float
     """Takeoff put before a mission that begins on the ground without one [m above home] (MIS_TAKEOFF_ALT)."""
+    tells_orders: bool
+    """Whether MISSION_ITEM_REACHED is said of items that only order something (speed, home, camera)."""
     takeoff_goes_there: bool
     """Whether a takeoff item's own latitude and longitude are flown to after the climb."""
 
@@ -122,15 +123,29 @@ def pass_by(reference: Reference, target: Vec3, end_speed: float, actual: Vec3, 
     p = reference.position
     d = (target[0] - p[0], target[1] - p[1], target[2] - p[2])
     distance = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    if distance < 1e-6:
-        return follow(reference, (0.0, 0.0, 0.0), limits, dt)
-    flat, steep = math.hypot(d[0], d[1]) / distance, abs(d[2]) / distance
-    climb = limits.speed_down if d[2] > 0.0 else limits.speed_up
-    speed = min(limits.speed_xy / max(flat, 1e-9), climb / max(steep, 1e-9))
-    braking = min(limits.acceleration_xy / max(flat, 1e-9), limits.braking_z / max(steep, 1e-9))
-    speed = min(speed, math.hypot(end_speed, speed_for_distance(distance, braking, limits.jerk)))
+    wish: Vec3 = (0.0, 0.0, 0.0)
+    if distance > 1e-6:
+        climb = limits.speed_down if d[2] > 0.0 else limits.speed_up
+        speed = along(d, distance, limits.speed_xy, climb)
+        braking = along(d, distance, limits.acceleration_xy, limits.braking_z)
+        jerk = along(d, distance, limits.jerk, limits.jerk)
+        speed = min(speed, math.hypot(end_speed, speed_for_distance(distance, braking, jerk)))
+        wish = (d[0] / distance * speed, d[1] / distance * speed, d[2] / distance * speed)
     dt *= 1.0 - min(max(lead(reference, actual), 0.0) / ERROR_MAX_M, 1.0)
-    return follow(reference, (d[0] / distance * speed, d[1] / distance * speed, d[2] / distance * speed), limits, dt)
+    v = reference.velocity
+    change = (wish[0] - v[0], wish[1] - v[1], wish[2] - v[2])
+    size = math.sqrt(change[0] * change[0] + change[1] * change[1] + change[2] * change[2])
+    share = 1.0
+    if size > 1e-9:  # all axes together, so that the way stays straight
+        share = min(1.0, along(change, size, limits.acceleration_xy, limits.acceleration_z) * dt / size)
+    v = (v[0] + change[0] * share, v[1] + change[1] * share, v[2] + change[2] * share)
+    return Reference((p[0] + v[0] * dt, p[1] + v[1] * dt, p[2] + v[2] * dt), v)
+
+
+def along(direction: Vec3, length: float, level: float, vertical: float) -> float:
+    """The largest multiple of a direction of this length that keeps a horizontal and a vertical limit."""
+    flat, steep = math.hypot(direction[0], direction[1]) / length, abs(direction[2]) / length
+    return min(level / max(flat, 1e-9), vertical / max(steep, 1e-9))
 
 
 class Fly:
@@ -266,7 +281,7 @@ class MissionFlight:
             return False
         if item.command == DELAY:
             self._held += dt
-            return self._held >= item.p[0]
+            return not self._held < item.p[0]
         if item.command not in PLACES:
             return True
         if not self._arrived(body, item):
@@ -305,13 +320,13 @@ class MissionFlight:
         plans = self._plans
         item = self._item()
         following = self._seq + 1
-        if item is not None:
+        if item is not None and item.command == DO_JUMP:  # told to nobody, as autopilots do
+            followed = plans.jumps.get(self._seq, 0)
+            if item.p[1] < 0 or followed < item.p[1]:
+                plans.jumps[self._seq] = followed + 1
+                following = int(item.p[0])
+        elif item is not None and (self._manners.tells_orders or item.command in PLACES | {RETURN, DELAY}):
             plans.reached.append(self._seq)
-            if item.command == DO_JUMP:
-                followed = plans.jumps.get(self._seq, 0)
-                if item.p[1] < 0 or followed < item.p[1]:
-                    plans.jumps[self._seq] = followed + 1
-                    following = int(item.p[0])
         if following >= len(plans.mission):
             plans.finished = True
             if not isinstance(self._leg, Fly):

@@ -43,10 +43,10 @@ class Network:
         self._system = system
         self._signing = signing
         self._routes: dict[Link, set[tuple[int, int]]] = {}
+        self.links = self._open()
+        """Every link there was when the ports were last read."""
 
-    @property
-    def links(self) -> list[Link]:
-        """Every link there is now."""
+    def _open(self) -> list[Link]:
         return [link for port in self._ports for link in port.links]
 
     def receive(self, now_ms: int, unix_us: int, any_component: bool = False) -> list[tuple[Link, Frame]]:
@@ -65,6 +65,7 @@ class Network:
                     ours.append((link, received))
                 else:
                     link.counters["not for us"] += 1
+        self.links = self._open()
         return ours
 
     def _is_ours(self, received: Frame, forwarded: bool, any_component: bool) -> bool:
@@ -77,7 +78,7 @@ class Network:
         sender = (received.system, received.component)
         if sender == (self._system, AUTOPILOT):  # our own, come back, or somebody who plays us
             return False
-        links = self.links
+        links = self._open()
         routes = self._routes.setdefault(origin, set())
         if received.system and len(routes) < ROUTES_MAX:
             routes.add(sender)

@@ -22,6 +22,7 @@ from sitl.plan import Plans
 from sitl.reference import Vec3
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 from sitl.transfer import Rules
+from sitl.world import World
 
 if TYPE_CHECKING:
     from sitl.vehicle import Vehicle
@@ -116,7 +117,9 @@ class Commander(Protocol):
 
     def return_home(self) -> Result: ...
 
-    def start_mission(self) -> Result: ...
+    def start_mission(self, first: float, last: float) -> Result:
+        """MISSION_START with the items it names."""
+        ...
 
     def set_mode(self, custom_mode: int) -> Result:
         """Any number; one that is no mode is refused."""
@@ -151,6 +154,10 @@ class Commander(Protocol):
         ...
 
     def set_home(self, position_ned: Vec3) -> None: ...
+
+    def hear_ground(self, system: int) -> None:
+        """A heartbeat of a ground station with this system id."""
+        ...
 
     def say(self, text: str, severity: int = INFO) -> None:
         """Tell the ground by STATUSTEXT."""
@@ -252,6 +259,7 @@ class Personality:
     gains: Callable[[Parameters], Gains]
     craft: Callable[[Parameters], Rotorcraft]
     pack: Callable[[Parameters], Pack]
+    world: Callable[[Parameters], World]
     mode_number: Callable[[float, float], int]
     """custom_mode that DO_SET_MODE's param2 and param3 mean; -1 when they mean none."""
     sensors: Callable[[Vehicle], tuple[int, int, int]]

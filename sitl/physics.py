@@ -1,7 +1,8 @@
 """Rigid-body dynamics of a quadrotor, compiled.
 
-The model is that of PX4's SIH quadrotor (parameters SIH_*): four first-order motors, linear drag against the air,
-angular drag, flat ground. Frames: NED world, FRD body; the attitude quaternion (w, x, y, z) turns body into world.
+The model is that of PX4's SIH quadrotor (parameters SIH_*): four first-order motors, linear drag, angular drag, flat
+ground; and on top quadratic drag, the drag of a flat panel, and wind: drag acts on the velocity through the air.
+Frames: NED world, FRD body; the attitude quaternion (w, x, y, z) turns body into world.
 """
 
 import math
@@ -42,6 +43,12 @@ class Rotorcraft(NamedTuple):
     """SIH_KDV [N/(m/s)]."""
     angular_drag: float
     """SIH_KDW [N m/(rad/s)]."""
+    drag_quadratic: float = 0.0
+    """[N/(m/s)2] against the speed through the air, in every direction alike."""
+    panel: float = 0.0
+    """[N/(m/s)2] of a flat panel across the body's x axis: 1/2 rho S C_d, as in `airframe.power.drag_force`."""
+    health: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    """What is left of each motor's thrust; 0 = failed."""
 
 
 class Body(NamedTuple):
@@ -61,6 +68,8 @@ class Body(NamedTuple):
     """[3] FRD [m/s2]: what an accelerometer feels."""
     contact_s: NDArray[np.float64]
     """[1] how long the vehicle has stood on the ground [s]; 0 in the air."""
+    air: NDArray[np.float64]
+    """[3] velocity of the air around the vehicle, NED [m/s]."""
 
 
 def body_at_rest() -> Body:
@@ -73,6 +82,7 @@ def body_at_rest() -> Body:
         motors=np.zeros(4),
         specific_force=np.array([0.0, 0.0, -GRAVITY]),
         contact_s=np.zeros(1),
+        air=np.zeros(3),
     )
 
 
@@ -104,6 +114,16 @@ def heading(q: NDArray[np.float64]) -> float:
     return math.atan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]))
 
 
+def euler(q: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [rad] of an attitude."""
+    w, x, y, z = q.tolist()
+    return (
+        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        math.asin(min(max(2 * (w * y - x * z), -1.0), 1.0)),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+
+
 @compiled
 def turn(q: NDArray[np.float64], rates: NDArray[np.float64], dt: float) -> None:
     """Turn the attitude by constant body rates for dt: exact, and normalised again."""
@@ -123,6 +143,17 @@ def turn(q: NDArray[np.float64], rates: NDArray[np.float64], dt: float) -> None:
 
 
 @compiled
+def drag_force(body: Body, craft: Rotorcraft) -> tuple[float, float, float]:
+    """Force of the air [N], NED: linear and quadratic drag against the airspeed, and the push on the panel."""
+    x, y, z = body.velocity[0] - body.air[0], body.velocity[1] - body.air[1], body.velocity[2] - body.air[2]
+    k = craft.drag + craft.drag_quadratic * math.sqrt(x * x + y * y + z * z)
+    nx, ny, nz = rotate(body.attitude, 1.0, 0.0, 0.0)
+    across = nx * x + ny * y + nz * z
+    push = craft.panel * abs(across) * across
+    return -k * x - push * nx, -k * y - push * ny, -k * z - push * nz
+
+
+@compiled
 def step_body(body: Body, commands: NDArray[np.float64], craft: Rotorcraft, dt: float) -> None:
     """Move the body by dt under motor commands [4] in 0 to 1 (semi-implicit Euler)."""
     lag = 1.0 - math.exp(-dt / craft.motor_lag)
@@ -131,7 +162,7 @@ def step_body(body: Body, commands: NDArray[np.float64], craft: Rotorcraft, dt: 
     pitch = 0.0
     yaw = 0.0
     for i in range(4):
-        body.motors[i] += (commands[i] - body.motors[i]) * lag
+        body.motors[i] += (commands[i] * craft.health[i] - body.motors[i]) * lag
         thrust += body.motors[i]
         roll += ROLL_SIGN[i] * body.motors[i]
         pitch += PITCH_SIGN[i] * body.motors[i]
@@ -139,9 +170,10 @@ def step_body(body: Body, commands: NDArray[np.float64], craft: Rotorcraft, dt: 
 
     p, v, w = body.position, body.velocity, body.rates
     ax, ay, az = rotate(body.attitude, 0.0, 0.0, -craft.thrust_max * thrust / craft.mass)
-    ax -= craft.drag * v[0] / craft.mass
-    ay -= craft.drag * v[1] / craft.mass
-    az -= craft.drag * v[2] / craft.mass
+    bx, by, bz = drag_force(body, craft)
+    ax += bx / craft.mass
+    ay += by / craft.mass
+    az += bz / craft.mass
 
     if p[2] >= 0.0 and v[2] + (az + GRAVITY) * dt >= 0.0:
         stand(body, dt)

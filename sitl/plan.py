@@ -151,7 +151,7 @@ class Plans:
 
     def __init__(self, first: int = 0) -> None:
         """`first` is the index of the first item that is flown; ArduPilot keeps home at 0."""
-        self._first = first
+        self.first = first
         self.mission: tuple[Item, ...] = ()
         self.fence: tuple[Item, ...] = ()
         self.mission_changes = 0
@@ -179,20 +179,20 @@ class Plans:
     @property
     def flyable(self) -> bool:
         """Whether there is an item to fly."""
-        return len(self.mission) > self._first
+        return len(self.mission) > self.first
 
     @property
     def begun(self) -> bool:
         """Whether the mission is somewhere after its first item."""
-        return self.current > self._first
+        return self.current > self.first
 
     def rewind(self) -> None:
         """Back to the first item."""
-        self.go_to(self._first)
+        self.go_to(self.first)
 
     def go_to(self, seq: int) -> None:
         """Go on at an item, as if the mission had not been flown."""
-        self.current = max(seq, self._first)
+        self.current = max(seq, self.first)
         self.finished = False
         self.speed = None
         self.jumps = {}

@@ -42,6 +42,8 @@ class Reference:
 
     position: Vec3
     velocity: Vec3
+    acceleration: Vec3 = (0.0, 0.0, 0.0)
+    """Where it is followed with limited jerk."""
 
 
 def speed_for_distance(distance: float, acceleration: float, jerk: float) -> float:
@@ -72,6 +74,16 @@ def stopping_point(moving: Reference, limits: Limits) -> Vec3:
 
 def approach(reference: Reference, target: Vec3, actual: Vec3, limits: Limits, dt: float) -> Reference:
     """Move the reference towards `target` for dt, waiting for the vehicle at `actual` when that lags."""
+    return follow(reference, wished(reference, target, limits), limits, stretched(reference, actual, dt))
+
+
+def eased(reference: Reference, target: Vec3, actual: Vec3, limits: Limits, dt: float) -> Reference:
+    """The same with limited jerk."""
+    return follow_eased(reference, wished(reference, target, limits), limits, stretched(reference, actual, dt))
+
+
+def wished(reference: Reference, target: Vec3, limits: Limits) -> Vec3:
+    """The velocity with which the reference should move to `target` now."""
     p = reference.position
     dx, dy, dz = target[0] - p[0], target[1] - p[1], target[2] - p[2]
     distance = math.hypot(dx, dy)
@@ -83,8 +95,12 @@ def approach(reference: Reference, target: Vec3, actual: Vec3, limits: Limits, d
         ),
         dz,
     )
-    dt *= 1.0 - min(max(lead(reference, actual), 0.0) / ERROR_MAX_M, 1.0)
-    return follow(reference, (wish_x, wish_y, wish_z), limits, dt)
+    return (wish_x, wish_y, wish_z)
+
+
+def stretched(reference: Reference, actual: Vec3, dt: float) -> float:
+    """The time by which a reference moves on in dt, waiting for the vehicle at `actual` when that lags."""
+    return dt * (1.0 - min(max(lead(reference, actual), 0.0) / ERROR_MAX_M, 1.0))
 
 
 def lead(reference: Reference, actual: Vec3) -> float:
@@ -110,3 +126,21 @@ def follow(reference: Reference, wish: Vec3, limits: Limits, dt: float) -> Refer
     )
     p = reference.position
     return Reference((p[0] + velocity[0] * dt, p[1] + velocity[1] * dt, p[2] + velocity[2] * dt), velocity)
+
+
+def follow_eased(reference: Reference, wish: Vec3, limits: Limits, dt: float) -> Reference:
+    """`follow` with limited jerk: the acceleration eases in, and out again before `wish` is reached."""
+    v, a, jerk = reference.velocity, reference.acceleration, limits.jerk
+    ex, ey, ez = wish[0] - v[0], wish[1] - v[1], wish[2] - v[2]
+    error = math.hypot(ex, ey)
+    share = min(limits.acceleration_xy, math.sqrt(2.0 * jerk * error), error / max(dt, 1e-9)) / max(error, 1e-9)
+    dx, dy = ex * share - a[0], ey * share - a[1]
+    change = math.hypot(dx, dy)
+    part = min(1.0, jerk * dt / change) if change > 1e-12 else 1.0
+    most_z = min(limits.acceleration_z, math.sqrt(2.0 * jerk * abs(ez)), abs(ez) / max(dt, 1e-9))
+    dz = math.copysign(most_z, ez) - a[2]
+    acceleration = (a[0] + dx * part, a[1] + dy * part, a[2] + min(max(dz, -jerk * dt), jerk * dt))
+    velocity = (v[0] + acceleration[0] * dt, v[1] + acceleration[1] * dt, v[2] + acceleration[2] * dt)
+    p = reference.position
+    moved = (p[0] + velocity[0] * dt, p[1] + velocity[1] * dt, p[2] + velocity[2] * dt)
+    return Reference(moved, velocity, acceleration)

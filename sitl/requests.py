@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable
 
 from sitl.autopilot import Autopilot
+from sitl.injection import inject
 
 Handler = Callable[[Autopilot, str], str]
 
@@ -19,4 +20,4 @@ def counters(autopilot: Autopilot, argument: str) -> str:
     return f"counters {json.dumps(autopilot.network.counters(), sort_keys=True)}"
 
 
-VEHICLE_REQUESTS: dict[str, Handler] = {"counters": counters}
+VEHICLE_REQUESTS: dict[str, Handler] = {"counters": counters, "inject": inject}

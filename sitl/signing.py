@@ -12,6 +12,7 @@ EPOCH_2015_US = 1_420_070_400_000_000
 """Unix time of 2015-01-01 [us]."""
 NEW_STREAM_LATE_MAX = 6_000_000
 """A sender not heard before may be one minute behind our clock, no more."""
+TIMESTAMP_MAX = 2**48 - 1
 KEY_BYTES = 32
 SETUP_SIGNING = 256
 RADIO_STATUS, ADSB_VEHICLE, COLLISION = 109, 246, 247
@@ -42,6 +43,8 @@ class Signing:
         """SETUP_SIGNING: from now on with this key; a key and a timestamp of zeros end signing. Raises ValueError."""
         if len(key) != KEY_BYTES:
             raise ValueError(f"signing key: {len(key)} bytes are not {KEY_BYTES}")
+        if timestamp > TIMESTAMP_MAX:
+            raise ValueError(f"signing timestamp: {timestamp} is more than {TIMESTAMP_MAX}")
         self._key = key if timestamp or any(key) else None
         self._timestamp = max(self._timestamp, timestamp)
         self._streams.clear()
@@ -52,7 +55,7 @@ class Signing:
 
     def sign(self, unsigned: bytes, link_id: int) -> bytes:
         """The frame with its signature; every signature has a timestamp of its own."""
-        self._timestamp += 1
+        self._timestamp = self._timestamp + 1 & TIMESTAMP_MAX
         stamped = unsigned + bytes((link_id,)) + self._timestamp.to_bytes(6, "little")
         return stamped + self._signature(stamped)
 

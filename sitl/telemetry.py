@@ -9,24 +9,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sitl import sensors
 from sitl.frames import Payload, pack
-from sitl.physics import GRAVITY, heading
+from sitl.physics import GRAVITY, euler, heading
 from sitl.reference import vector
 from sitl.vehicle import Vehicle
 
 NAN = math.nan
-ACCELEROMETER_NOISE, GYRO_NOISE, GPS_NOISE_M = 0.03, 0.002, 0.1
-"""Standard deviations [m/s2, rad/s, m] of what HIGHRES_IMU and GPS_RAW_INT show; control flies on the true state."""
-
-
-def euler(q: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[float, float, float]:
-    """Roll, pitch, yaw [rad] of an attitude."""
-    w, x, y, z = q.tolist()
-    return (
-        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-        math.asin(min(max(2 * (w * y - x * z), -1.0), 1.0)),
-        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-    )
 
 
 def compass(yaw: float) -> float:
@@ -79,7 +68,7 @@ def sys_status(v: Vehicle) -> Payload:
         onboard_control_sensors_health=health,
         load=100,
         voltage_battery=millivolts(volts),
-        current_battery=int16(battery.power_w / volts * 100.0),
+        current_battery=int16(battery.current_a * 100.0),
         battery_remaining=math.ceil(battery.remaining * 100.0),
         drop_rate_comm=0,
         errors_comm=0,
@@ -103,7 +92,7 @@ def battery_status(v: Vehicle) -> Payload:
         type=1,
         temperature=32767,
         voltages=[millivolts(volts)] + [65535] * 9,
-        current_battery=int16(battery.power_w / volts * 100.0),
+        current_battery=int16(battery.current_a * 100.0),
         current_consumed=round((1.0 - battery.remaining) * battery.pack.capacity_mah),
         energy_consumed=round(battery.used_j / 100.0),
         battery_remaining=math.ceil(battery.remaining * 100.0),
@@ -245,8 +234,11 @@ def vfr_hud(v: Vehicle) -> Payload | None:
 
 
 def gps_raw_int(v: Vehicle) -> Payload:
-    x, y, z = (vector(v.body.position) + v.noise.normal(0.0, GPS_NOISE_M, 3)).tolist()
-    vx, vy, _ = vector(v.body.velocity)
+    """The true place with noise; zeros without a fix."""
+    if not v.model.estimator.gps:
+        return no_fix(v)
+    x, y, z = v.measured(v.model.truth.position, sensors.GPS)
+    vx, vy, _ = vector(v.model.truth.velocity)
     latitude, longitude = v.origin.globe(x, y)
     return pack(
         "GPS_RAW_INT",
@@ -269,9 +261,32 @@ def gps_raw_int(v: Vehicle) -> Payload:
     )
 
 
+def no_fix(v: Vehicle) -> Payload:
+    """GPS_RAW_INT of a receiver that is there and sees nothing."""
+    zero = dict.fromkeys(("lat", "lon", "alt", "vel", "cog", "alt_ellipsoid", "vel_acc", "hdg_acc", "yaw"), 0)
+    return pack(
+        "GPS_RAW_INT",
+        time_usec=v.now_ms * 1000,
+        fix_type=1,
+        eph=65535,
+        epv=65535,
+        satellites_visible=0,
+        h_acc=0,
+        v_acc=0,
+        **zero,
+    )
+
+
+def pressure(v: Vehicle) -> float:
+    """What the barometer shows [hPa], with noise."""
+    amsl = v.origin.altitude - float(v.model.truth.position[2])
+    true: float = 1013.25 * max(1.0 - 2.25577e-5 * amsl, 0.0) ** 5.25588
+    return true + v.deviation(sensors.BAROMETER) * float(v.noise.standard_normal())
+
+
 def highres_imu(v: Vehicle) -> Payload:
-    force = (v.body.specific_force + v.noise.normal(0.0, ACCELEROMETER_NOISE, 3)).tolist()
-    rates = (v.body.rates + v.noise.normal(0.0, GYRO_NOISE, 3)).tolist()
+    force = v.measured(v.body.specific_force, sensors.ACCELEROMETER)
+    rates = v.measured(v.body.rates, sensors.GYRO)
     amsl = v.origin.altitude - float(v.body.position[2])
     yaw = heading(v.body.attitude)
     return pack(
@@ -286,7 +301,7 @@ def highres_imu(v: Vehicle) -> Payload:
         xmag=0.21 * math.cos(yaw),
         ymag=-0.21 * math.sin(yaw),
         zmag=0.43,
-        abs_pressure=1013.25 * max(1.0 - 2.25577e-5 * amsl, 0.0) ** 5.25588,
+        abs_pressure=pressure(v),
         diff_pressure=0.0,
         pressure_alt=amsl,
         temperature=15.0 - 0.0065 * amsl,
@@ -400,12 +415,13 @@ def protocol_version(_: Vehicle) -> Payload:
 
 def hil_state_quaternion(v: Vehicle) -> Payload:
     """The true state, without any sensor's or estimator's error."""
-    x, y, z = v.position()
-    vx, vy, vz = (int16(speed * 100.0) for speed in vector(v.body.velocity))
-    p, q, r = vector(v.body.rates)
-    ax, ay, az = (int16(force / GRAVITY * 1000.0) for force in vector(v.body.specific_force))
+    true = v.model.truth
+    x, y, z = vector(true.position)
+    vx, vy, vz = (int16(speed * 100.0) for speed in vector(true.velocity))
+    p, q, r = vector(true.rates)
+    ax, ay, az = (int16(force / GRAVITY * 1000.0) for force in vector(true.specific_force))
     latitude, longitude = v.origin.globe(x, y)
-    airspeed = min(round(float(np.linalg.norm(v.body.velocity)) * 100.0), 65535)
+    airspeed = min(round(float(np.linalg.norm(true.velocity - true.air)) * 100.0), 65535)
     return pack(
         "HIL_STATE_QUATERNION",
         time_usec=v.now_ms * 1000,
@@ -428,14 +444,24 @@ def hil_state_quaternion(v: Vehicle) -> Payload:
 
 
 def mission_current(v: Vehicle) -> Payload:
-    """mission_state: 2 not begun, 3 flown, 4 paused, 5 done; mission_mode: 1 in mission mode, 2 in another."""
+    """mission_state: 2 not begun, 3 flown, 4 paused, 5 done; mission_mode: 1 in mission mode, 2 in another.
+
+    Without a mission PX4 was recorded to leave both unknown; ArduPilot says 1, and does not count its home.
+    """
     plans = v.commander.plans
-    if not plans.mission:  # as recorded
-        return pack("MISSION_CURRENT", seq=0, total=65535, mission_state=0, mission_mode=0)
+    if not plans.flyable:
+        state = int(v.personality.missions.home_first)
+        return pack("MISSION_CURRENT", seq=0, total=65535, mission_state=state, mission_mode=0)
     flown = v.commander.armed and v.commander.in_mission
     state = 5 if plans.finished else 3 if flown else 4 if plans.begun else 2
     mode = 1 if v.commander.in_mission else 2
-    return pack("MISSION_CURRENT", seq=plans.current, total=len(plans.mission), mission_state=state, mission_mode=mode)
+    return pack(
+        "MISSION_CURRENT",
+        seq=plans.current,
+        total=len(plans.mission) - plans.first,
+        mission_state=state,
+        mission_mode=mode,
+    )
 
 
 MESSAGES: dict[str, Callable[[Vehicle], Payload | None]] = {

@@ -177,8 +177,9 @@ class UdpPort:
 
     def lost(self) -> dict[Link | None, int]:
         """Datagrams the kernel had no room for, of each peer and (None) of strangers; empty where it does not tell."""
-        sockets = {peer.link: peer.inbox for peer in self._peers.values() if peer.inbox is not None}
-        return {link: lost for link, one in {**sockets, None: self._socket}.items() if (lost := _dropped(one))}
+        sockets: dict[Link | None, socket.socket] = {None: self._socket}
+        sockets.update({peer.link: peer.inbox for peer in self._peers.values() if peer.inbox is not None})
+        return {link: lost for link, one in sockets.items() if (lost := _dropped(one))}
 
     def flush(self) -> None:
         """Every frame was a datagram, and has gone."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.control import Controller
 from sitl.flight_model import FlightModel
@@ -10,7 +11,8 @@ from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Commander, Personality
 from sitl.physics import Body
-from sitl.reference import vector
+from sitl.reference import Vec3, vector
+from sitl.sensors import measured
 from sitl.transfer import Exchange
 
 
@@ -47,4 +49,12 @@ class Vehicle:
     @property
     def located(self) -> bool:
         """Whether the estimator has a position."""
-        return self.now_ms >= self.personality.timeline.position_ms
+        return self.now_ms >= self.personality.timeline.position_ms and self.model.estimator.valid
+
+    def deviation(self, usual: float) -> float:
+        """A sensor's standard deviation, times SITL_NOISE."""
+        return usual * self.model.world.noise
+
+    def measured(self, true: NDArray[np.float64], usual: float) -> Vec3:
+        """A vector [3] as a sensor of a usual standard deviation shows it."""
+        return measured(true, self.deviation(usual), self.noise)

@@ -4,8 +4,9 @@ Each turns the state into a setpoint tick by tick; `landing` tells that it is on
 """
 
 import math
+from dataclasses import replace
 
-from sitl.arducopter.shaper import Motion, Shape, held_back, limited, shaped, square_root
+from sitl.arducopter.shaper import Motion, Shape, eased_speed, held_back, limited, shaped, square_root
 from sitl.arducopter.vehicle_setup import limits, shape
 from sitl.control import Setpoint
 from sitl.parameters import Parameters
@@ -15,6 +16,10 @@ from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_p
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
 STILL: Vec3 = (0.0, 0.0, 0.0)
+JERK_SHARE = 0.57
+"""Of WPNAV_JERK, which is the peak of a raised cosine: held steadily, this makes the recorded S-curve of the return."""
+TIGHT = 100.0
+"""Times the jerk: so tightly is the speed of an S-curve followed."""
 YAW_FAR_M = 2.0
 """Nearer than this the nose no longer follows the way to a place."""
 
@@ -55,7 +60,10 @@ class Velocity:
         elif self.yaw_rate:
             self._yaw = math.remainder(self._yaw + min(max(self.yaw_rate * dt, -turn), turn), math.tau)
         m = self._motion
-        return Setpoint(m.position, m.velocity, m.acceleration, self._yaw, NAN)
+        # ArduCopter's D acts on the velocity error; the shared law's on the velocity alone: the rest is fed forward.
+        forward = 1.0 + p["PSC_VELXY_D"]
+        acceleration = (forward * m.acceleration[0], forward * m.acceleration[1], m.acceleration[2])
+        return Setpoint(m.position, m.velocity, acceleration, self._yaw, NAN)
 
 
 def towards(place: Vec3, here: Vec3, forward: Vec3, by: Shape, within: Limits) -> Vec3:
@@ -89,7 +97,7 @@ class Takeoff:
     """Straight up to a height, then hold there."""
 
     landing = False
-    CLOSE_M = 0.15
+    CLOSE_M = 0.03
     """So near to its height it is done; recorded at 9.98 of 10 m."""
 
     def __init__(self, body: Body, p: Parameters, target_down: float) -> None:
@@ -123,12 +131,19 @@ class Destination:
         self.target = target
         self.reference = Reference(vector(body.position), vector(body.velocity))
         self.yaw = heading(body.attitude)
+        self._speed = math.hypot(*self.reference.velocity[:2])
+        self._acceleration = 0.0
         self._goal = yaw
         self._nose_first = nose_first and p["WP_YAW_BEHAVIOR"] > 0
 
     def step(self, body: Body, dt: float) -> Setpoint:
         here = vector(body.position)
-        self.reference = approach(self.reference, self.target, here, self._limits, dt)
+        self._gather_speed(dt)
+        most, jerk = self._limits, JERK_SHARE * self._p["WPNAV_JERK"]
+        left = math.dist(self.reference.position[:2], self.target[:2])
+        eased = eased_speed(left, most.speed_xy, most.acceleration_xy, jerk)
+        within = replace(most, speed_xy=min(self._speed, eased), jerk=TIGHT * jerk)
+        self.reference = approach(self.reference, self.target, here, within, dt)
         goal = self._goal
         if math.isnan(goal):
             north, east = self.target[0] - here[0], self.target[1] - here[1]
@@ -137,11 +152,20 @@ class Destination:
         self.yaw = turned(self.yaw, goal, slew(self._p) * dt)
         return Setpoint(self.reference.position, self.reference.velocity, NAN3, self.yaw, NAN)
 
+    def _gather_speed(self, dt: float) -> None:
+        """The speed allowed grows to the cruise speed with WPNAV_JERK at both ends (an S-curve)."""
+        most, jerk = self._limits, JERK_SHARE * self._p["WPNAV_JERK"]
+        ease_out = math.sqrt(2.0 * jerk * max(most.speed_xy - self._speed, 0.0))
+        self._acceleration = min(self._acceleration + jerk * dt, most.acceleration_xy, ease_out)
+        self._speed = min(self._speed + self._acceleration * dt, most.speed_xy)
+
 
 class Land:
     """Brake and come down: at WPNAV_SPEED_DN (LAND_SPEED_HIGH), at LAND_SPEED below LAND_ALT_LOW."""
 
     landing = True
+    AHEAD_M = 0.5
+    """The height asked for is no further below the vehicle, also when that stands on the ground."""
 
     def __init__(self, body: Body, p: Parameters, ground_down: float, place: tuple[float, float] | None = None) -> None:
         self._p = p
@@ -153,13 +177,11 @@ class Land:
         self._yaw = heading(body.attitude)
 
     def sink_rate(self, height: float) -> float:
-        """[m/s] at a height [m]; braking begins early enough to be slow at LAND_ALT_LOW."""
+        """[m/s] at a height [m]: a square-root controller of the height above LAND_ALT_LOW."""
         p = self._p
-        slow, low = p["LAND_SPEED"] * 0.01, p["LAND_ALT_LOW"] * 0.01
-        if height <= low:
-            return slow
         fast = p["LAND_SPEED_HIGH"] * 0.01 or self._limits.speed_down
-        return max(slow, min(fast, math.sqrt(slow * slow + 2.0 * self._limits.acceleration_z * (height - low))))
+        high = height - p["LAND_ALT_LOW"] * 0.01
+        return max(p["LAND_SPEED"] * 0.01, min(fast, square_root(high, p["PSC_POSZ_P"], self._limits.acceleration_z)))
 
     def step(self, body: Body, dt: float) -> Setpoint:
         here = vector(body.position)
@@ -167,11 +189,26 @@ class Land:
         flat = approach(self._reference, level, (here[0], here[1], self._reference.position[2]), self._limits, dt)
         sink = self.sink_rate(self._ground_down - here[2])
         down = follow(self._reference, (0.0, 0.0, sink), self._limits, dt).velocity[2]
+        below = min(self._reference.position[2] + down * dt, here[2] + self.AHEAD_M)
         self._reference = Reference(
-            (flat.position[0], flat.position[1], here[2]), (flat.velocity[0], flat.velocity[1], down)
+            (flat.position[0], flat.position[1], below), (flat.velocity[0], flat.velocity[1], down)
         )
-        x, y, _ = self._reference.position
-        return Setpoint((x, y, NAN), self._reference.velocity, NAN3, self._yaw, NAN)
+        return Setpoint(self._reference.position, self._reference.velocity, NAN3, self._yaw, NAN)
+
+
+class BlindLand:
+    """Without a position: level, drifting with the wind, down as Land does by height."""
+
+    landing = True
+
+    def __init__(self, body: Body, p: Parameters, ground_down: float) -> None:
+        self._land = Land(body, p, ground_down)
+        self._ground_down = ground_down
+        self._yaw = heading(body.attitude)
+
+    def step(self, body: Body, dt: float) -> Setpoint:
+        sink = self._land.sink_rate(self._ground_down - float(body.position[2]))
+        return Setpoint(NAN3, (NAN, NAN, sink), (0.0, 0.0, NAN), self._yaw, NAN)
 
 
 class Return:

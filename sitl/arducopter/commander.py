@@ -6,8 +6,8 @@ Time is vehicle time in milliseconds since boot; nothing here waits. What is to 
 import math
 from collections.abc import Callable
 
-from sitl.arducopter import arming, fence, guided
-from sitl.arducopter.autonomy import Destination, Land, Level, Return, Takeoff, Velocity
+from sitl.arducopter import arming, failsafes, fence, guided
+from sitl.arducopter.autonomy import BlindLand, Destination, Land, Level, Return, Takeoff, Velocity
 from sitl.arducopter.guided import Order, understood
 from sitl.arducopter.missions import Pilot, manners
 from sitl.arducopter.modes import ARMABLE, Mode, base_mode, mode_of
@@ -30,12 +30,14 @@ from sitl.targets import Destination as Goal
 
 LIFT_OFF_MS = 1350
 """From a takeoff until the motors carry: spool-up and TKOFF_SLEW_TIME, as recorded."""
+ARMING_DELAY_MS = 2000
+"""From arming until the motors may spool up (ARMING_DELAY_SEC), as recorded."""
 LANDED_S = 1.6
 """Contact until the landing is believed, as recorded."""
 DISARM_LANDED_MS = 440
 """From a landing in RTL or LAND until the motors stop, as recorded."""
 FENCE_CHECK_MS = 200
-NOTICE = 5
+EMERGENCY, NOTICE = 0, 5
 RAISED = -0.9
 """Throttle stick that is not at its bottom."""
 
@@ -43,7 +45,7 @@ ALLOW_ARMING, ALLOW_TAKEOFF = 1, 2
 """AUTO_OPTIONS: AUTO may be armed in, and takes off without the throttle being raised."""
 
 ByPilot = Attitude | LoiterSticks | LeanSticks
-Leg = Velocity | Level | Takeoff | Destination | Land | Return | MissionFlight | ByPilot
+Leg = Velocity | Level | Takeoff | Destination | Land | BlindLand | Return | MissionFlight | ByPilot
 
 
 class Commander:
@@ -52,6 +54,7 @@ class Commander:
     def __init__(self, p: Parameters, model: FlightModel, origin: Origin, say: Callable[[str, int], None]) -> None:
         """`say(text, severity)` sends a STATUSTEXT."""
         self._p = p
+        self._model = model
         self._body = model.body
         self._controller = model.controller
         self._origin = origin
@@ -68,7 +71,7 @@ class Commander:
         self.landed = Landed.ON_GROUND
         self.mode = Mode.STABILIZE
         self.failsafe = ""
-        """What is wrong: `battery`, `fence`, or nothing."""
+        """What is wrong: `battery`, `fence`, `gcs`, `ekf`, or nothing."""
         self.home: Vec3 | None = None
         self.news: list[str] = []
         """Messages to send to everybody at once, by name."""
@@ -79,14 +82,23 @@ class Commander:
         self._told_ms = 0
         """Until when the texts of the boot have been said."""
         self.sticks = StickInput()
+        self._counted = (0, 0)
         self._auto_armed = False
         """Whether AUTO may leave the ground: by MISSION_START, a raised throttle, or once flown."""
         self._mission_changes = 0
+        self._armed_ms = 0
         self._idle_ms = 0
         """Since when the vehicle stands armed with nothing to do."""
         self._takeoff_ms: int | None = None
         """When a takeoff was asked for, until it leaves the ground."""
         self._battery_level = 0
+        self._ground_ms: int | None = None
+        """When the ground station (MAV_GCS_SYSID) was heard last."""
+        self._ground_lost = False
+        self._located_ms = 0
+        """When there was a position last."""
+        self._position_lost = False
+        self._crashed_ms: int | None = None
         self._fence_due_ms = 0
         self._pilot = Pilot(
             self._body, p, origin, home=self._ground, flying=lambda: self.flying, set_home=self.set_home
@@ -107,7 +119,7 @@ class Commander:
                 self.say(f"Arm: {reason}", CRITICAL)
             return Result.FAILED
         self.armed = True
-        self._idle_ms = self.now_ms
+        self._armed_ms = self._idle_ms = self.now_ms
         self.set_home(vector(self._body.position))
         self.say("Arming motors")
         self._enter(self.mode)
@@ -119,6 +131,10 @@ class Commander:
             reasons = arming.failing(self.now_ms)
             if reasons:
                 return reasons
+            if not self._model.estimator.valid:
+                return ("Need Position Estimate",)
+            if self._model.wrecked:
+                return ("Vehicle has crashed",)
             if self.battery.level >= 2 or self.battery.voltage < self._p["BATT_ARM_VOLT"]:
                 return ("Battery 1 below minimum arming voltage",)
             if self.home is not None and self.fence.now().breach(vector(self._body.position), self.home):
@@ -141,11 +157,11 @@ class Commander:
 
     def takeoff(self, altitude: float) -> Result:
         """In GUIDED, armed and standing: up to an altitude above home [m]."""
-        if not self.armed or self.flying or self.mode is not Mode.GUIDED or not altitude > 0.0:
+        if not self.armed or self.flying or self.mode is not Mode.GUIDED or not 0.0 < altitude <= guided.FAR_M:
             return Result.FAILED
         north, east, _ = vector(self._body.position)
         down = self._ground()[2] - altitude
-        if not math.isfinite(down) or self._outside((north, east, down)):
+        if self._outside((north, east, down)):
             return Result.FAILED
         self.order = None
         self._leg = Takeoff(self._body, self._p, down)
@@ -158,8 +174,10 @@ class Commander:
     def return_home(self) -> Result:
         return self._choose(Mode.RTL)
 
-    def start_mission(self) -> Result:
-        """MISSION_START: AUTO, which takes off if armed."""
+    def start_mission(self, first: float, last: float) -> Result:
+        """MISSION_START: AUTO, which takes off if armed. Part of a mission is DENIED."""
+        if first != 0.0 or last != 0.0:
+            return Result.DENIED
         taken = self._choose(Mode.AUTO)
         self._auto_armed = self._auto_armed or (taken is Result.ACCEPTED and self.armed)
         return taken
@@ -178,6 +196,9 @@ class Commander:
             return Result.FAILED
         if mode is Mode.AUTO and self.armed and not self.flying and not self._begins_with_takeoff():
             self.say("Auto: Missing Takeoff Cmd", CRITICAL)
+            return Result.FAILED
+        if self.armed and mode not in failsafes.WITHOUT_POSITION and not self._model.estimator.valid:
+            self.say(f"Mode change to {mode.name} failed: requires position", WARNING)
             return Result.FAILED
         self.failsafe = ""
         if mode is not self.mode:
@@ -321,8 +342,12 @@ class Commander:
     def step(self, dt: float) -> Setpoint:
         """Decide what is flown for the coming tick of dt [s]; `flying` tells whether at all."""
         self._boot()
+        self._count_plans()
         if self.armed:
             self._watch_battery()
+            self._watch_ground_station()
+            self._watch_estimator()
+            self._watch_crash()
             self._watch_fence()
             self._watch_mission()
             self._watch_sticks()
@@ -332,8 +357,6 @@ class Commander:
             if isinstance(self._leg, Velocity):
                 self._leg.velocity = self._off_the_fence(self._velocity_asked())
             setpoint = self._leg.step(self._body, dt)
-        velocity = self._body.velocity
-        self.battery.drain(float(velocity[0]), float(velocity[1]), float(velocity[2]), self.flying, dt)
         return setpoint
 
     def _boot(self) -> None:
@@ -370,7 +393,9 @@ class Commander:
         body, p = self._body, self._p
         self._takeoff_ms = None
         self.order = None
-        if mode is Mode.LAND:
+        if mode is Mode.LAND and not self._model.estimator.valid:
+            self._leg = BlindLand(body, p, self._ground()[2])
+        elif mode is Mode.LAND:
             self._leg = Land(body, p, self._ground()[2])
         elif mode is Mode.RTL:
             self._leg = Return(body, p, self._ground())
@@ -391,7 +416,6 @@ class Commander:
         self.failsafe = ""
         self._takeoff_ms = None
         self.say("Disarming motors")
-        self.news.append("HEARTBEAT")
 
     # Leaving and meeting the ground
 
@@ -412,11 +436,11 @@ class Commander:
                 self._takeoff_ms = self.now_ms
             elif self._taking_off() and self._takeoff_ms is not None:
                 self._idle_ms = self.now_ms
-                if self.now_ms - self._takeoff_ms >= LIFT_OFF_MS:
+                if self.now_ms - max(self._takeoff_ms, self._armed_ms + ARMING_DELAY_MS) >= LIFT_OFF_MS:
                     self._takeoff_ms = None
                     self.flying = True
                     self._body.contact_s[0] = 0.0
-        elif contact >= LANDED_S and not self._wants_up():
+        elif contact >= LANDED_S and (self._model.wrecked or not self._wants_up()):
             self.flying = False
             self.landed = Landed.ON_GROUND
             self._idle_ms = self.now_ms
@@ -484,6 +508,14 @@ class Commander:
             self._mission_changes = self.plans.mission_changes
             self._enter(Mode.AUTO if self.plans.flyable else Mode.LOITER)
 
+    def _count_plans(self) -> None:
+        """MIS_TOTAL, home included, and FENCE_TOTAL follow what is uploaded."""
+        changes = (self.plans.mission_changes, self.plans.fence_changes)
+        if changes != self._counted:
+            self._counted = changes
+            self._p.set("MIS_TOTAL", max(len(self.plans.mission), 1))
+            self._p.set("FENCE_TOTAL", len(self.plans.fence))
+
     def _watch_sticks(self) -> None:
         """Modes for sticks are flown by them while they are there (RC_OVERRIDE_TIME); AUTO waits for the throttle."""
         there = self.sticks.alive(self.now_ms, self._p["RC_OVERRIDE_TIME"])
@@ -502,7 +534,7 @@ class Commander:
             self._enter(self.mode)
 
     def _watch_battery(self) -> None:
-        """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT: 1 lands, 2 to 4 return, 5 stops the motors."""
+        """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
         level = self.battery.level
         if level <= self._battery_level:
             return
@@ -510,12 +542,63 @@ class Commander:
         kind = "low" if level == 1 else "critical"
         used = (1.0 - self.battery.remaining) * self.battery.pack.capacity_mah
         self.say(f"Battery 1 is {kind} {self.battery.voltage:.2f}V used {used:.0f} mAh", CRITICAL)
-        action = int(self._p["BATT_FS_LOW_ACT" if level == 1 else "BATT_FS_CRT_ACT"])
-        if action == 0 or not self.flying:
+        self._obey("Battery", failsafes.battery(level, self._p, self._situation()))
+
+    def hear_ground(self, system: int) -> None:
+        """A heartbeat of a ground station; only one of MAV_GCS_SYSID counts."""
+        if system != int(self._p["MAV_GCS_SYSID"]):
             return
-        self.say("Battery Failsafe", WARNING)
-        self.failsafe = "battery"
-        if action == 5:
+        self._ground_ms = self.now_ms
+        if self._ground_lost:
+            self._ground_lost = False
+            self.say("GCS Failsafe Cleared", WARNING)
+
+    def _watch_ground_station(self) -> None:
+        """FS_GCS_ENABLE, FS_GCS_TIMEOUT: a ground station that was there and is silent."""
+        p = self._p
+        if self._ground_lost or self._ground_ms is None or not p["FS_GCS_ENABLE"]:
+            return
+        if self.now_ms - self._ground_ms > p["FS_GCS_TIMEOUT"] * 1000.0:
+            self._ground_lost = True
+            self._obey("GCS", failsafes.ground_station(p, self._situation()))
+
+    def _watch_estimator(self) -> None:
+        """FS_EKF_ACTION when there has been no position for a second (FS_EKF_THRESH 0: never)."""
+        if self._model.estimator.valid:
+            if self._position_lost:
+                self.say("EKF Failsafe Cleared", CRITICAL)
+            self._located_ms, self._position_lost = self.now_ms, False
+            return
+        if self._position_lost or not self._p["FS_EKF_THRESH"]:
+            return
+        if self.now_ms - self._located_ms >= failsafes.ESTIMATOR_MS:
+            self._position_lost = True
+            self.say("EKF variance", CRITICAL)
+            if isinstance(self._leg, Land):
+                self._enter(Mode.LAND)
+            self._obey("EKF", failsafes.estimator(self._p, self._situation()))
+
+    def _watch_crash(self) -> None:
+        """FS_CRASH_CHECK: stop the motors of a vehicle that lies on its back."""
+        if not (self._model.wrecked and self._p["FS_CRASH_CHECK"]):
+            self._crashed_ms = None
+        elif self._crashed_ms is None:
+            self._crashed_ms = self.now_ms
+        elif self.now_ms - self._crashed_ms >= failsafes.CRASH_MS:
+            self.say("Crash: Disarming: AngErr=180>30, Accel=0.0<3.0", EMERGENCY)
             self._stop()
-        elif self.mode is not Mode.LAND:
-            self._enter(Mode.LAND if action == 1 else Mode.RTL)
+
+    def _situation(self) -> failsafes.Situation:
+        return failsafes.Situation(self.mode, self.flying, self._model.estimator.valid, self._leg.landing)
+
+    def _obey(self, name: str, response: failsafes.Response) -> None:
+        """Tell of a failsafe and do what it asks for."""
+        mode = response.mode
+        if not (response.note or response.stop or mode is not None):
+            return
+        self.say(f"{name} Failsafe{' - ' * bool(response.note)}{response.note}", WARNING)
+        self.failsafe = name.lower()
+        if response.stop:
+            self._stop()
+        elif mode is not None and mode is not self.mode:
+            self._enter(mode)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from sitl.arducopter.shaper import near
 from sitl.reference import Vec3
 from sitl.targets import PositionTarget
 
@@ -12,6 +13,9 @@ FORCE, YAW, YAW_RATE = 0x200, 0x400, 0x800
 LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9
 FRAMES = frozenset({LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED})
 BODY = frozenset({BODY_NED, BODY_OFFSET_NED})
+
+FAR_M = 100_000.0
+"""No place is further away."""
 
 NAN = math.nan
 STILL: Vec3 = (0.0, 0.0, 0.0)
@@ -49,8 +53,10 @@ def understood(asked: PositionTarget, here: Vec3, heading: float) -> Order:
     if asked.frame in BODY:
         position = None if position is None else turned_by(position, heading)
         velocity = None if velocity is None else turned_by(velocity, heading)
-    if position is not None and asked.frame != LOCAL_NED:
-        position = (here[0] + position[0], here[1] + position[1], here[2] + position[2])
+    if position is not None:
+        if asked.frame != LOCAL_NED:
+            position = (here[0] + position[0], here[1] + position[1], here[2] + position[2])
+        position = near(position, here, FAR_M)
     yaw = asked.yaw if not mask & YAW and math.isfinite(asked.yaw) else NAN
     if asked.frame in BODY:
         yaw += heading

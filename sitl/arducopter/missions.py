@@ -23,6 +23,7 @@ def manners(p: Parameters) -> Manners:
         height=p["WPNAV_RADIUS"] * 0.01,
         yaw_rate=slew(p),
         first_height=math.nan,
+        tells_orders=False,
         takeoff_goes_there=False,
     )
 

@@ -5,6 +5,7 @@ value outside is refused. Angles are centidegrees, lengths centimetres where Ard
 """
 
 from sitl.parameters import INT8, INT16, INT32, REAL32, Parameter
+from sitl.world import OWN
 
 INT8_ANY = (-(2**7), 2**7 - 1)
 INT16_ANY = (-(2**15), 2**15 - 1)
@@ -37,11 +38,11 @@ TABLE = (
     Parameter("ATC_RAT_PIT_D", 0.0036, 0, 0.05, REAL32),
     Parameter("ATC_RAT_PIT_I", 0.135, 0, 2, REAL32),
     Parameter("ATC_RAT_PIT_IMAX", 0.5, 0, 1, REAL32),
-    Parameter("ATC_RAT_PIT_P", 0.135, 0.01, 0.5, REAL32),
+    Parameter("ATC_RAT_PIT_P", 0.135, 0.05, 0.5, REAL32),
     Parameter("ATC_RAT_RLL_D", 0.0036, 0, 0.05, REAL32),
     Parameter("ATC_RAT_RLL_I", 0.135, 0, 2, REAL32),
     Parameter("ATC_RAT_RLL_IMAX", 0.5, 0, 1, REAL32),
-    Parameter("ATC_RAT_RLL_P", 0.135, 0.01, 0.5, REAL32),
+    Parameter("ATC_RAT_RLL_P", 0.135, 0.05, 0.5, REAL32),
     Parameter("ATC_RAT_YAW_D", 0.0, 0, 0.02, REAL32),
     Parameter("ATC_RAT_YAW_FLTE", 2.5, 0, 20, REAL32),
     Parameter("ATC_RAT_YAW_I", 0.02, 0, 1, REAL32),
@@ -197,7 +198,7 @@ TABLE = (
     Parameter("SERVO4_FUNCTION", 36, *INT16_ANY, INT16),
     Parameter("SIM_BATT_CAP_AH", 0.0, *REAL32_ANY, REAL32),
     Parameter("SIM_BATT_VOLTAGE", 12.6, 0, 120, REAL32),
-    Parameter("SIM_ENGINE_FAIL", 0, *INT32_ANY, INT32),
+    Parameter("SIM_ENGINE_FAIL", 0, 0, 15, INT32),
     Parameter("SIM_ENGINE_MUL", 0.0, 0, 1, REAL32),
     Parameter("SIM_GPS1_ENABLE", 1, 0, 1, INT8),
     Parameter("SIM_GPS1_NOISE", 0.0, 0, 100, REAL32),
@@ -224,4 +225,5 @@ TABLE = (
     Parameter("WPNAV_SPEED_UP", 250.0, 10, 1000, REAL32),
     Parameter("WP_NAVALT_MIN", 0.0, *REAL32_ANY, REAL32),
     Parameter("WP_YAW_BEHAVIOR", 2, 0, 3, INT8),
+    *OWN,
 )

@@ -6,7 +6,7 @@ from sitl.arducopter.modes import STANDARD, Mode, mode_number
 from sitl.arducopter.parameters import TABLE
 from sitl.arducopter.streams import GROUPS, RATES_HZ
 from sitl.arducopter.telemetry import MESSAGES, sensors
-from sitl.arducopter.vehicle_setup import gains, pack, rotorcraft
+from sitl.arducopter.vehicle_setup import gains, pack, rotorcraft, world
 from sitl.parameters import Parameters
 from sitl.personality import Answers, FlightMode, Missions, Personality, Result, Version
 from sitl.plan import Verdict
@@ -51,6 +51,7 @@ ARDUCOPTER = Personality(
     gains=gains,
     craft=rotorcraft,
     pack=pack,
+    world=world,
     mode_number=mode_number,
     sensors=sensors,
     messages=MESSAGES,

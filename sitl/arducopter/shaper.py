@@ -9,10 +9,13 @@ from dataclasses import dataclass
 
 from sitl.reference import Vec3
 
-LAG_MAX_M = 3.0
-"""The reference waits for a vehicle that is further behind: one that cannot tilt more must not be run away from."""
-SPEED_LAG_MAX = 4.0
+LAG_MAX_M = 1.0
+"""The reference waits for a vehicle that is further behind: ArduPilot moves it no further into a direction in which the
+lean angle is at its limit. Unlimited flight lags less than this."""
+SPEED_LAG_MAX = 1.0
 """Likewise for velocity [m/s]."""
+OVERSPEED_GAIN = 2.0
+"""POSCONTROL_OVERSPEED_GAIN_Z."""
 SPEED_MAX = 100.0
 """No more than this is ever asked for [m/s], so that numbers stay numbers."""
 
@@ -25,6 +28,14 @@ class Shape:
     jerk_xy: float
     acceleration_z: float
     jerk_z: float
+    speed_up: float = math.inf
+    """Above these [m/s] vertical acceleration and jerk are raised by OVERSPEED_GAIN and the excess ..."""
+    speed_down: float = math.inf
+
+    def overspeed(self, down: float) -> float:
+        """... by this factor at a vertical speed [m/s] (AC_PosControl's calculate_overspeed_gain)."""
+        excess = max(down / self.speed_down, -down / self.speed_up)
+        return OVERSPEED_GAIN * excess if excess > 1.0 else 1.0
 
 
 @dataclass(frozen=True)
@@ -56,11 +67,36 @@ def shaped(motion: Motion, wish: Vec3, shape: Shape, dt: float) -> Motion:
     dx, dy = ex * share - a[0], ey * share - a[1]
     change = math.hypot(dx, dy)
     part = min(1.0, shape.jerk_xy * dt / change) if change > 1e-12 else 1.0
-    up = square_root(wish[2] - v[2], shape.jerk_z / shape.acceleration_z, shape.jerk_z)
-    step_z = shape.jerk_z * dt
-    dz = min(max(up, -shape.acceleration_z), shape.acceleration_z) - a[2]
+    more = shape.overspeed(v[2])
+    jerk_z, most_z = more * shape.jerk_z, more * shape.acceleration_z
+    up = square_root(wish[2] - v[2], jerk_z / most_z, jerk_z)
+    step_z = jerk_z * dt
+    dz = min(max(up, -most_z), most_z) - a[2]
     acceleration = (a[0] + dx * part, a[1] + dy * part, a[2] + min(max(dz, -step_z), step_z))
     return moved(motion, acceleration, dt)
+
+
+def eased_speed(distance: float, top: float, acceleration: float, jerk: float) -> float:
+    """Speed [m/s] at a distance [m] from rest on an S-curve that brakes from `top` (AP_Math/SCurve.cpp)."""
+    if top <= 0.0:
+        return 0.0
+    peak = min(acceleration, math.sqrt(jerk * top))
+    ease = peak / jerk
+    slow = 0.5 * peak * ease
+    last = peak * ease * ease / 6.0
+    if distance <= last:
+        return 0.5 * jerk * math.pow(6.0 * distance / jerk, 2.0 / 3.0)
+    fast = top - slow
+    steady = last + (fast * fast - slow * slow) / (2.0 * peak)
+    if distance <= steady:
+        return math.sqrt(slow * slow + 2.0 * peak * (distance - last))
+    begun = steady + top * ease - peak * ease * ease / 6.0 - distance
+    if begun <= 0.0:
+        return top
+    t = begun / top
+    for _ in range(4):
+        t += (begun - top * t + jerk * t * t * t / 6.0) / (top - 0.5 * jerk * t * t)
+    return top - 0.5 * jerk * t * t
 
 
 def moved(motion: Motion, acceleration: Vec3, dt: float) -> Motion:

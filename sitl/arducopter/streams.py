@@ -13,6 +13,7 @@ GROUPS: dict[int, tuple[str, ...]] = {
         "MISSION_CURRENT",
         "GPS_RAW_INT",
         "NAV_CONTROLLER_OUTPUT",
+        "FENCE_STATUS",
         "POSITION_TARGET_GLOBAL_INT",
     ),
     3: ("SERVO_OUTPUT_RAW", "RC_CHANNELS"),
@@ -28,4 +29,5 @@ GROUPS: dict[int, tuple[str, ...]] = {
         "VIBRATION",
     ),
 }
-"""MAV_DATA_STREAM -> messages, as ArduCopter groups what its simulator has: 27 kinds in all. 0 stands for all."""
+"""MAV_DATA_STREAM -> messages, as ArduCopter groups what its simulator has: 27 kinds in all, and
+FENCE_STATUS while the fence is on. 0 stands for all."""

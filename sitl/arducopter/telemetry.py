@@ -8,9 +8,10 @@ from sitl.arducopter.arming import READY_MS
 from sitl.arducopter.commander import Commander
 from sitl.arducopter.modes import Mode
 from sitl.frames import Payload, pack
-from sitl.physics import GRAVITY, heading
+from sitl.physics import GRAVITY, euler, heading
 from sitl.reference import vector
-from sitl.telemetry import compass, euler, int16
+from sitl.sensors import ACCELEROMETER, GYRO, measured
+from sitl.telemetry import compass, int16
 from sitl.vehicle import Vehicle
 
 NAN = math.nan
@@ -37,7 +38,7 @@ def commander(v: Vehicle) -> Commander:
 
 def sensors(v: Vehicle) -> tuple[int, int, int]:
     """SYS_STATUS: sensors present, enabled, healthy."""
-    missing = GPS if v.now_ms < GPS_FIX_MS else 0
+    missing = GPS if v.now_ms < GPS_FIX_MS or not v.model.estimator.gps else 0
     ready = PREARM_CHECK if v.commander.ready else 0
     return SENSORS_PRESENT & ~missing, SENSORS_ENABLED & ~missing, SENSORS_HEALTHY & ~missing | ready
 
@@ -108,9 +109,12 @@ def global_position_int(v: Vehicle) -> Payload:
 
 def gps_raw_int(v: Vehicle) -> Payload:
     """fix_type 0 before the receiver is there, then 1, then 6 (fixed RTK) with 10 satellites."""
+    if v.now_ms >= GPS_FIX_MS and not v.model.estimator.gps:
+        return common.no_fix(v)
     if v.now_ms >= GPS_FIX_MS:
-        x, y, z = v.position()
-        vx, vy, _ = vector(v.body.velocity)
+        true = v.model.truth
+        x, y, z = measured(true.position, v.parameters["SIM_GPS1_NOISE"], v.noise)
+        vx, vy, _ = vector(true.velocity)
         latitude, longitude = v.origin.globe(x, y)
         altitude = round((v.origin.altitude - z) * 1000.0)
         return pack(
@@ -185,7 +189,8 @@ def scaled_imu3(v: Vehicle) -> Payload:
 
 def _imu(v: Vehicle) -> dict[str, int]:
     """Milli-g, mrad/s, mgauss."""
-    force, rates = vector(v.body.specific_force), vector(v.body.rates)
+    force = v.measured(v.body.specific_force, ACCELEROMETER)
+    rates = v.measured(v.body.rates, GYRO)
     yaw = heading(v.body.attitude)
     values = {f"{axis}acc": int16(f * MILLI_G) for axis, f in zip("xyz", force, strict=True)}
     values |= {f"{axis}gyro": int16(w * 1000.0) for axis, w in zip("xyz", rates, strict=True)}
@@ -204,7 +209,7 @@ def _pressure(v: Vehicle) -> dict[str, object]:
     amsl = v.origin.altitude - float(v.body.position[2])
     return {
         "time_boot_ms": v.now_ms,
-        "press_abs": 1013.25 * max(1.0 - 2.25577e-5 * amsl, 0.0) ** 5.25588,
+        "press_abs": common.pressure(v),
         "press_diff": 0.0,
         "temperature": int16((15.0 - 0.0065 * amsl) * 100.0),
         "temperature_press_diff": 0,
@@ -304,7 +309,7 @@ def rc_channels(v: Vehicle) -> Payload:
 
 def simstate(v: Vehicle) -> Payload:
     roll, pitch, yaw = euler(v.body.attitude)
-    x, y, _ = v.position()
+    x, y, _ = vector(v.model.truth.position)
     latitude, longitude = v.origin.globe(x, y)
     ax, ay, az = vector(v.body.specific_force)
     p, q, r = vector(v.body.rates)
@@ -376,7 +381,10 @@ def vibration(v: Vehicle) -> Payload:
     )
 
 
-def fence_status(v: Vehicle) -> Payload:
+def fence_status(v: Vehicle) -> Payload | None:
+    """While there is a fence."""
+    if not v.parameters["FENCE_ENABLE"]:
+        return None
     c = commander(v)
     return pack(
         "FENCE_STATUS",

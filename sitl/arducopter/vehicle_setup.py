@@ -8,20 +8,32 @@ from sitl.control import Gains
 from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, Rotorcraft
 from sitl.reference import Limits
+from sitl.world import World, in_the_air
+from sitl.world import world as own_world
 
 MASS = 3.0
 """Of ArduPilot's default simulated frame (SIM_Frame.cpp) [kg]."""
 HOVER_THROTTLE = 0.39
 """MOT_THST_HOVER of the recorded vehicle: sizes the motors."""
-DRAG = 1.1
-"""Linear drag [N/(m/s)] that makes the recorded tilt in steady flight: 0.32 to 0.43 m/s2 per m/s on 3 kg."""
+ATTITUDE_GAIN_MAX = 10.0
+"""What the rate loop can follow [1/s]."""
+DRAG, DRAG_QUADRATIC = 0.74, 0.083
+"""[N/(m/s)] and [N/(m/s)2]: least squares over the recorded flight, from tilt and acceleration at 1 to 10 m/s."""
 CELLS, CELL_FULL_V, CELL_EMPTY_V = 3, 4.2, 3.3
 """The simulated battery is 12.6 V when full (SIM_BATT_VOLTAGE)."""
 
 
-def rotorcraft(_: Parameters) -> Rotorcraft:
-    """ArduPilot's default frame: 3 kg, 0.35 m across."""
-    return Rotorcraft(
+DEAD_RECKONING_S = 10.0
+"""How long EKF3 keeps a position without GPS (its posRetryTimeUseVel_ms); not in the recording."""
+W20_PER_TURBULENCE = 5.0
+"""Gusts of this Dryden wind have about SIM_WIND_TURB for a horizontal standard deviation at 10 m."""
+
+
+def rotorcraft(p: Parameters) -> Rotorcraft:
+    """ArduPilot's default frame: 3 kg, 0.35 m across; SIM_ENGINE_FAIL (motors as bits) leaves SIM_ENGINE_MUL."""
+    failed = int(p["SIM_ENGINE_FAIL"])
+    left = [p["SIM_ENGINE_MUL"] if failed >> motor & 1 else 1.0 for motor in range(4)]
+    craft = Rotorcraft(
         mass=MASS,
         inertia=(0.046, 0.046, 0.092),
         arm_roll=0.124,
@@ -30,8 +42,20 @@ def rotorcraft(_: Parameters) -> Rotorcraft:
         torque_max=0.35,
         motor_lag=0.05,
         drag=DRAG,
+        drag_quadratic=DRAG_QUADRATIC,
         angular_drag=0.02,
+        health=(left[0], left[1], left[2], left[3]),
     )
+    return in_the_air(craft, p)
+
+
+def world(p: Parameters) -> World:
+    """The world of the SITL_* parameters and of SIM_WIND_*, SIM_GPS1_ENABLE; SIM_WIND_DIR is where wind comes from."""
+    own = own_world(p, DEAD_RECKONING_S, gps_fix=bool(p["SIM_GPS1_ENABLE"]))
+    towards, speed = math.radians(p["SIM_WIND_DIR"]), p["SIM_WIND_SPD"]
+    north, east, down = own.wind.mean
+    mean = (north - speed * math.cos(towards), east - speed * math.sin(towards), down)
+    return own._replace(wind=own.wind._replace(mean=mean, w20=own.wind.w20 + W20_PER_TURBULENCE * p["SIM_WIND_TURB"]))
 
 
 def pack(p: Parameters) -> Pack:
@@ -43,7 +67,7 @@ def pack(p: Parameters) -> Pack:
         return min(max(by_voltage, by_charge, 0.0), 1.0)
 
     low, critical = (share(p[f"BATT_{kind}_VOLT"], p[f"BATT_{kind}_MAH"]) for kind in ("LOW", "CRT"))
-    return Pack(CELLS, p["BATT_CAPACITY"], CELL_FULL_V, CELL_EMPTY_V, (low, critical, 0.0))
+    return Pack(CELLS, p["BATT_CAPACITY"], CELL_FULL_V, CELL_EMPTY_V, (low, critical, 0.0), p["SITL_BAT_R"])
 
 
 def tilt_max(p: Parameters) -> float:
@@ -63,7 +87,7 @@ def gains(p: Parameters) -> Gains:
     forward (ATC_RATE_FF_ENAB); here that is an attitude gain of 1 / ATC_INPUT_TC.
     """
     hover = HOVER_THROTTLE
-    forward = 1.0 / p["ATC_INPUT_TC"] if p["ATC_RATE_FF_ENAB"] else 0.0
+    forward = min(1.0 / p["ATC_INPUT_TC"], ATTITUDE_GAIN_MAX) if p["ATC_RATE_FF_ENAB"] else 0.0
     return Gains(
         position_p=(p["PSC_POSXY_P"], p["PSC_POSXY_P"], p["PSC_POSZ_P"]),
         velocity_p=(p["PSC_VELXY_P"], p["PSC_VELXY_P"], p["PSC_VELZ_P"]),
@@ -100,6 +124,8 @@ def shape(p: Parameters) -> Shape:
         jerk_xy=p["PSC_JERK_XY"],
         acceleration_z=p["WPNAV_ACCEL_Z"] * 0.01,
         jerk_z=p["PSC_JERK_Z"],
+        speed_up=p["WPNAV_SPEED_UP"] * 0.01,
+        speed_down=p["WPNAV_SPEED_DN"] * 0.01,
     )
 
 
@@ -112,9 +138,9 @@ def limits(p: Parameters, speed_cms: float = 0.0) -> Limits:
         acceleration_xy=p["WPNAV_ACCEL"] * 0.01,
         acceleration_z=p["WPNAV_ACCEL_Z"] * 0.01,
         braking_z=0.6 * p["WPNAV_ACCEL_Z"] * 0.01,
-        jerk=BRAKING_JERK,
+        jerk=BRAKING_JERK * p["WPNAV_JERK"],
     )
 
 
 BRAKING_JERK = 20.0
-"""[m/s3] Makes the recorded way of coming to a stop: 2.0 m/s2 from 10 m/s to the place, with little to spare."""
+"""Per WPNAV_JERK. Makes the recorded way of coming to a stop: at 9 m/s 17 m before the place, at 6 m/s 6 m before."""

@@ -6,20 +6,18 @@ is on its way to the ground.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol
 
 from sitl.control import Setpoint
 from sitl.parameters import Parameters
 from sitl.physics import Body, heading
-from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_point, turned, vector
+from sitl.reference import Limits, Reference, Vec3, approach, eased, follow_eased, stopping_point, turned, vector
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
-TAKEOFF_ACCELERATION = 0.5
-"""Climb acceleration of PX4's takeoff as recorded [m/s2]."""
-
-LIFT_OFF_SPEED = 0.2
-"""Climb asked for while still standing [m/s]."""
+STANDING_SPEED = 0.7
+"""Downwards [m/s]: where the velocity asked for by a takeoff begins (FlightTaskAuto::reActivate)."""
 
 Say = Callable[[str], None]
 
@@ -47,8 +45,8 @@ def limits(p: Parameters) -> Limits:
 
 
 def tracking(reference: Reference, yaw: float) -> Setpoint:
-    """Follow a reference: its position, its velocity as feed-forward."""
-    return Setpoint(reference.position, reference.velocity, NAN3, yaw, NAN)
+    """Follow a reference: its position, its velocity and acceleration as feed-forward."""
+    return Setpoint(reference.position, reference.velocity, reference.acceleration, yaw, NAN)
 
 
 class Loiter:
@@ -69,35 +67,43 @@ class Loiter:
 
 
 class Takeoff:
-    """AUTO.TAKEOFF: straight up to a height, at MPC_TKO_SPEED."""
+    """AUTO.TAKEOFF: straight up to a height.
+
+    Up to MPC_LAND_ALT1 above home at MPC_TKO_SPEED, which is reached in MPC_TKO_RAMP_T; above that as AUTO climbs.
+    """
 
     landing = False
 
-    def __init__(self, body: Body, p: Parameters, target_down: float) -> None:
-        usual = limits(p)
-        self._limits = Limits(
-            usual.speed_xy,
-            min(p["MPC_TKO_SPEED"], usual.speed_up),
-            usual.speed_down,
-            usual.acceleration_xy,
-            TAKEOFF_ACCELERATION,
-            usual.braking_z,
-            usual.jerk,
+    def __init__(
+        self, body: Body, p: Parameters, target_down: float, ground_down: float, flying: Callable[[], bool]
+    ) -> None:
+        self._limits = limits(p)
+        self._slow = replace(
+            self._limits,
+            speed_up=min(p["MPC_TKO_SPEED"], self._limits.speed_up),
+            acceleration_z=min(p["MPC_TKO_SPEED"] / p["MPC_TKO_RAMP_T"], self._limits.acceleration_z),
         )
+        self._slow = replace(self._slow, braking_z=self._slow.acceleration_z)
+        self._slow_above = ground_down - p["MPC_LAND_ALT1"]
         self._accept = p["NAV_MC_ALT_RAD"]
-        self._start = vector(body.position)
-        self.target = (self._start[0], self._start[1], target_down)
-        self._reference = Reference(self._start, (0.0, 0.0, 0.0))
+        self._flying = flying
+        start = vector(body.position)
+        self.target = (start[0], start[1], target_down)
+        self._reference = Reference(start, vector(body.velocity) if flying() else (0.0, 0.0, STANDING_SPEED))
         self._yaw = heading(body.attitude)
         self.done = False
 
     def step(self, body: Body, dt: float) -> Setpoint:
-        if body.contact_s[0] > 0.0:
-            self._reference = Reference(self._start, (0.0, 0.0, -LIFT_OFF_SPEED))
-        else:
-            self._reference = approach(self._reference, self.target, vector(body.position), self._limits, dt)
-            self.done = body.position[2] <= self.target[2] + min(self._accept, 0.5 * abs(self.target[2]))
-        return tracking(self._reference, self._yaw)
+        here = vector(body.position)
+        self.done = here[2] <= self.target[2] + min(self._accept, 0.5 * abs(self.target[2]))
+        if here[2] <= self._slow_above:
+            self._reference = approach(self._reference, self.target, here, self._limits, dt)
+            return tracking(self._reference, self._yaw)
+        if self._flying():  # the height itself is not tracked yet
+            at = Reference((self.target[0], self.target[1], here[2]), self._reference.velocity)
+            self._reference = approach(at, self.target, here, self._slow, dt)
+        x, y, _ = self.target
+        return Setpoint((x, y, NAN), self._reference.velocity, NAN3, self._yaw, NAN)
 
 
 class Land:
@@ -126,18 +132,23 @@ class Land:
     def step(self, body: Body, dt: float) -> Setpoint:
         actual = vector(body.position)
         level = (self._place[0], self._place[1], self._reference.position[2])
-        flat = approach(self._reference, level, (actual[0], actual[1], self._reference.position[2]), self._limits, dt)
+        flat = eased(self._reference, level, (actual[0], actual[1], self._reference.position[2]), self._limits, dt)
         sink = self.sink_rate(self._ground_down - actual[2])
-        down = follow(self._reference, (0.0, 0.0, sink), self._limits, dt).velocity[2]
+        down = follow_eased(self._reference, (0.0, 0.0, sink), self._limits, dt)
         self._reference = Reference(
-            (flat.position[0], flat.position[1], actual[2]), (flat.velocity[0], flat.velocity[1], down)
+            (flat.position[0], flat.position[1], actual[2]),
+            (flat.velocity[0], flat.velocity[1], down.velocity[2]),
+            (flat.acceleration[0], flat.acceleration[1], down.acceleration[2]),
         )
         x, y, _ = self._reference.position
-        return Setpoint((x, y, NAN), self._reference.velocity, NAN3, self._yaw, NAN)
+        return Setpoint((x, y, NAN), self._reference.velocity, self._reference.acceleration, self._yaw, NAN)
 
 
 class Return:
-    """AUTO.RTL: climb, fly home nose first, come down to RTL_DESCEND_ALT, wait RTL_LAND_DELAY, land as at arming."""
+    """AUTO.RTL: climb, fly home nose first, land with the heading of arming.
+
+    With an RTL_LAND_DELAY it first comes down to RTL_DESCEND_ALT and waits so long.
+    """
 
     def __init__(self, body: Body, p: Parameters, home: Vec3, home_yaw: float, home_altitude: float, say: Say) -> None:
         self._p = p
@@ -191,34 +202,40 @@ class Return:
         elif self._phase == "cruise" and there:
             self._phase = "descend"
             self._say("RTL: land at destination")
+            if self._p["RTL_LAND_DELAY"] == 0.0:
+                self._come_down(body)
         elif self._phase == "descend" and level:
             self._phase = "wait"
         elif self._phase == "wait":
             self._waited += dt
             if self._waited >= self._p["RTL_LAND_DELAY"]:
-                self._phase = "land"
-                self._land = Land(body, self._p, self._home[2], self._home[:2])
+                self._come_down(body)
+
+    def _come_down(self, body: Body) -> None:
+        self._phase = "land"
+        self._land = Land(body, self._p, self._home[2], self._home[:2])
 
     def step(self, body: Body, dt: float) -> Setpoint:
         self._next_phase(body, dt)
-        if self._land is not None:
-            return self._land.step(body, dt)
         position = vector(body.position)
-        self._reference = approach(self._reference, self.target, position, self._limits, dt)
         if self._phase != "climb":
             north, east = self._home[0] - position[0], self._home[1] - position[1]
             far = self._phase == "cruise" and math.hypot(north, east) > self._p["NAV_ACC_RAD"]
             goal = math.atan2(east, north) if far else self._home_yaw
             self._yaw = turned(self._yaw, goal, math.radians(self._p["MPC_YAWRAUTO_MAX"]) * dt)
+        if self._land is not None:
+            return self._land.step(body, dt)._replace(yaw=self._yaw)
+        climbing = replace(self._limits, braking_z=self._limits.acceleration_z)
+        within = climbing if self._phase == "climb" else self._limits
+        self._reference = eased(self._reference, self.target, position, within, dt)
         return tracking(self._reference, self._yaw)
 
 
 class Descend:
-    """What position mode does without sticks: level, coast, sink at MPC_LAND_SPEED."""
+    """What position mode does without sticks, and landing without a position: level, coast, sink at MPC_LAND_SPEED."""
 
-    landing = False
-
-    def __init__(self, body: Body, p: Parameters) -> None:
+    def __init__(self, body: Body, p: Parameters, landing: bool = False) -> None:
+        self.landing = landing
         self._sink = p["MPC_LAND_SPEED"]
         self._yaw = heading(body.attitude)
 

@@ -17,7 +17,9 @@ from sitl.personality import CRITICAL, ERROR, INFO, WARNING, Landed, Result, Sta
 from sitl.physics import GRAVITY, heading
 from sitl.plan import Plans
 from sitl.px4.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff
-from sitl.px4.fence import CHECK_MS, FLOWN, RETURN, TERMINATE, FenceOfParameters
+from sitl.px4.failsafes import Action, Conditions, Failsafe, can_fly, follow
+from sitl.px4.failure_detector import FailureDetector
+from sitl.px4.fence import CHECK_MS, FenceOfParameters
 from sitl.px4.missions import Pilot, manners
 from sitl.px4.modes import BASE_MODE, NAMES, STICK_MAIN_MODES, STICKS, Mode, custom_mode, mode_of
 from sitl.px4.offboard import OffboardStream, SetpointRefusedError, flown, flown_attitude, read_target
@@ -37,12 +39,21 @@ BOOT = Timeline(telemetry_ms=500, heartbeat_ms=1000, position_ms=2000, home_ms=2
 DISARM_PREFLIGHT_EXTRA_S = 1.0
 """Auto-disarm without takeoff was seen at 11 s with COM_DISARM_PRFLT = 10."""
 
+BREACHED = {
+    Breach.BOUNDARY: "Geofence: approaching or outside geofence",
+    Breach.MAXALT: "Geofence: exceeding maximum altitude above Home",
+}
+"""PX4's texts."""
+GROUND_NOTICED_S = 1.7
+"""From touching the ground until thrust has fallen so far that PX4 takes it for contact, as recorded."""
+LOWEST_SHARE = 0.1
+"""Of the way from the lowest thrust to the hover thrust: less is the lowest."""
 THRUST_ON_GROUND = 0.6
 """Share of the hover thrust below which a vehicle flown by thrust is believed to stay on the ground."""
-STICKS_LOST = {1: Mode.LOITER, 2: Mode.RTL, 3: Mode.LAND}
-"""NAV_RCL_ACT -> what is flown when the sticks that fly the vehicle are lost."""
-FALLBACK = {0: Mode.POSCTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.LOITER}
-"""COM_OBL_RC_ACT -> what is flown when the OFFBOARD stream is lost and there are no sticks."""
+THROTTLE_LOW = -0.9
+"""Throttle stick at its bottom."""
+LOOK_MS = 50
+"""How often is looked at what may go wrong, but for the setpoint stream and the sticks."""
 
 
 class Commander:
@@ -51,6 +62,7 @@ class Commander:
     def __init__(self, p: Parameters, model: FlightModel, origin: Origin, say: Callable[[str, int], None]) -> None:
         """`say(text, severity)` sends a STATUSTEXT."""
         self._p = p
+        self._model = model
         self._body = model.body
         self._controller = model.controller
         self._origin_altitude = origin.altitude
@@ -65,9 +77,8 @@ class Commander:
         self._fence_due_ms = 0
         self._pushes = False
         """Whether a thrust given from outside wants to leave the ground."""
-        self._later: tuple[int, Mode] | None = None
-        """When a failsafe goes on from hold to another mode."""
         self._mission_changes = 0
+        self._judged = (0, 0)
         self._pilot = Pilot(
             self._body,
             p,
@@ -89,8 +100,21 @@ class Commander:
         """What is flown now."""
         self.intended = Mode.LOITER
         """What the user asked for; a failsafe may fly something else."""
-        self.failsafe = ""
-        """What is wrong: `offboard`, `battery`, or nothing."""
+        self.detector = FailureDetector()
+        self._failsafe = Failsafe()
+        self._conditions = Conditions()
+        self._new_mode = False
+        """Whether the user chose a mode that the failsafes have not heard of."""
+        self._look_due_ms = 0
+        self._ground_ms: int | None = None
+        """When a ground station was heard last."""
+        self._ground_lost = True
+        self._sticks_optional = True
+        """Whether there have been no sticks since arming."""
+        self._sticks_lost = False
+        self._wind_told = False
+        self._lifted_ms = 0
+        self._battery_at_arming = 0
         self.home: tuple[float, float, float] | None = None
         """NED from the local origin [m]."""
         self._home_yaw = 0.0
@@ -102,11 +126,10 @@ class Commander:
         self._flown_since_arming = False
         self._ramp_ms: int | None = None
         self._battery_level = 0
-        self._battery_action: tuple[int, Mode] | None = None
 
     # What a client can ask for
 
-    def arm(self, force: bool = False) -> Result:
+    def arm(self, force: bool = False, by: str = "external command") -> Result:
         """Start the motors. Refused before the estimator is ready and in modes that cannot start a flight."""
         if self.armed:
             return Result.ACCEPTED
@@ -118,25 +141,39 @@ class Commander:
         self.armed = True
         self._armed_ms = self.now_ms
         self._flown_since_arming = False
+        self._battery_at_arming = self.battery.level
+        self._sticks_optional = not self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"])
         self.home = vector(self._body.position)
         self._home_yaw = heading(self._body.attitude)
-        self.say("Armed by external command")
+        self.say(f"Armed by {by}")
         self._enter(self.mode)
         return Result.ACCEPTED
 
     def why_not_arm(self) -> str:
         """The arming checks: what stands against arming now; empty when nothing does."""
-        if self.now_ms < BOOT.armable_ms:
-            return "Resolve system health failures first"
-        if self.mode is Mode.OFFBOARD and not self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"]):
-            return "Resolve system health failures first"
+        p, unhealthy = self._p, "Resolve system health failures first"
+        if self.now_ms < BOOT.armable_ms or not self._model.estimator.valid or self._model.wrecked:
+            return unhealthy
+        if self.mode is Mode.OFFBOARD and not self.stream.alive(self.now_ms, p["COM_OF_LOSS_T"]):
+            return unhealthy
+        if not p["COM_ARMABLE"] or (p["COM_ARM_MIS_REQ"] and not self.plans.flyable):
+            return unhealthy
+        if p["NAV_DLL_ACT"] and self._ground_lost:
+            return "no connection to the ground control station"
         if self.mode in STICKS and self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"]):
-            return "high throttle" if self.sticks.now.throttle > self._p["MPC_HOLD_DZ"] else ""
+            return self._why_not_arm_by_sticks()
         if self.mode in (Mode.RTL, Mode.LAND, *STICKS) or (self.mode is Mode.MISSION and not self.plans.flyable):
             return "switch to another mode first"
-        if self.battery.level >= 2:
+        if self.battery.level >= 2 or self.battery.remaining < p["COM_ARM_BAT_MIN"]:
             return "low battery"
         return ""
+
+    def _why_not_arm_by_sticks(self) -> str:
+        """The throttle must not ask for a climb; where it is thrust, it must be at its bottom."""
+        throttle = self.sticks.now.throttle
+        if self.mode is Mode.STABILIZED:
+            return "high throttle" if throttle > THROTTLE_LOW else ""
+        return "throttle above center" if throttle > self._p["MPC_HOLD_DZ"] else ""
 
     def disarm(self, force: bool = False) -> Result:
         """Stop the motors; in the air only by force."""
@@ -161,12 +198,15 @@ class Commander:
     def return_home(self) -> Result:
         return self._choose(Mode.RTL)
 
-    def start_mission(self) -> Result:
-        """MISSION_START: AUTO.MISSION, armed."""
+    def start_mission(self, first: float, last: float) -> Result:
+        """MISSION_START: AUTO.MISSION, armed. The items are looked at, but the mission's own current one is flown."""
         if not self._mission_can_be_flown():
+            self.say("Mission start denied! No valid mission", CRITICAL)
+            return Result.DENIED
+        if not -1.0 <= first < len(self.plans.mission):
             return Result.DENIED
         taken = self._choose(Mode.MISSION)
-        return self.arm() if taken is Result.ACCEPTED else taken
+        return self.arm(by="mission start") if taken is Result.ACCEPTED else taken
 
     def set_mode(self, custom_mode: int) -> Result:
         """The mode of a HEARTBEAT.custom_mode."""
@@ -179,6 +219,7 @@ class Commander:
     def _choose(self, mode: Mode) -> Result:
         """Fly a mode. While disarmed every mode is taken; in the air only one that can be flown now."""
         if mode is Mode.MISSION and not self._mission_can_be_flown():
+            self.say("Switching to mode 'Mission' is currently not possible", CRITICAL)
             return Result.TEMPORARILY_REJECTED
         if mode is Mode.TAKEOFF:
             return self.takeoff(math.nan)
@@ -186,20 +227,25 @@ class Commander:
             if mode in STICKS and not self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"]):
                 self.say(f"Switching to mode '{NAMES[mode][0]}' is currently not possible", CRITICAL)
                 return Result.TEMPORARILY_REJECTED
-            if mode is Mode.OFFBOARD and not self.stream.ready(self.now_ms, self._p["COM_OF_LOSS_T"]):
-                self.say("Switching to mode 'Offboard' is currently not possible", CRITICAL)
+            streams = mode is not Mode.OFFBOARD or self.stream.ready(self.now_ms, self._p["COM_OF_LOSS_T"])
+            if not (streams and can_fly(mode, self._conditions._replace(stream_lost=False))):
+                self.say(f"Switching to mode '{NAMES[mode][0]}' is currently not possible", CRITICAL)
                 return Result.TEMPORARILY_REJECTED
         return self._take(mode)
 
     def _mission_can_be_flown(self) -> bool:
-        """Whether there is a mission, inside the fence; says so when not."""
-        outside = self.fence.waypoint_outside(self.home or (0.0, 0.0, 0.0)) if self.plans.flyable else None
+        """Whether there is a mission, inside the fence."""
+        return self.plans.flyable and self.fence.waypoint_outside(self.home or (0.0, 0.0, 0.0)) is None
+
+    def _judge_plans(self) -> None:
+        """A mission that leaves the fence is told of as soon as either is there."""
+        changes = (self.plans.mission_changes, self.plans.fence_changes)
+        if changes == self._judged or self.home is None:
+            return
+        self._judged = changes
+        outside = self.fence.waypoint_outside(self.home)
         if outside is not None:
             self.say(f"Geofence violation for waypoint {outside}", CRITICAL)
-        elif self.plans.flyable:
-            return True
-        self.say("Mode switch to Mission rejected: no valid mission available", CRITICAL)
-        return False
 
     def reposition(self, goal: Destination) -> Result:
         """Hold somewhere else; PX4 knows only the flag that changes the mode, and wants it."""
@@ -308,12 +354,10 @@ class Commander:
         """Decide what is flown for the coming tick of dt [s]; `flying` tells whether at all."""
         if self.home is None and self.now_ms >= BOOT.home_ms:
             self.home = vector(self._body.position)
+        self._judge_plans()
         if self.armed:
-            self._watch_stream()
-            self._watch_battery()
             self._watch_fence()
-            self._watch_sticks()
-            self._go_on()
+            self._watch(dt)
             self._watch_ground()
             self._watch_mission()
         setpoint = self._setpoint(dt) if self.armed else NOTHING
@@ -322,8 +366,6 @@ class Commander:
         if self.flying:
             setpoint = self._in_ramp(setpoint)
         self._pushes = setpoint.thrust > THRUST_ON_GROUND * self._p["MPC_THR_HOVER"]
-        velocity = self._body.velocity
-        self.battery.drain(float(velocity[0]), float(velocity[1]), float(velocity[2]), self.flying, dt)
         return setpoint
 
     def _setpoint(self, dt: float) -> Setpoint:
@@ -332,6 +374,9 @@ class Commander:
         flown = self._autonomous
         setpoint = flown.step(self._body, dt)
         if isinstance(flown, Takeoff) and flown.done and self.intended is Mode.TAKEOFF:
+            if self._p["COM_TAKEOFF_ACT"] and self._mission_can_be_flown():
+                self._take(Mode.MISSION)
+                return setpoint
             self._take(Mode.LOITER)
             self._autonomous = Loiter(self._body, self._p, flown.target)
         elif isinstance(flown, MissionFlight) and flown.finished and self.mode is Mode.MISSION and self.flying:
@@ -344,18 +389,19 @@ class Commander:
 
     def _take(self, mode: Mode) -> Result:
         """The user's will: flown now, and kept against a failsafe that comes later."""
-        self.intended = mode
-        if mode not in (Mode.TAKEOFF, Mode.MISSION, Mode.RTL, Mode.LAND):
-            self._mode_after_disarm = mode
-        self.failsafe = ""
-        self._battery_action = None
-        self._later = None
+        self._intend(mode)
+        self._new_mode = True
         if mode is Mode.RTL:
             self.say("Returning to launch")
         elif mode is Mode.LAND:
             self.say("Landing at current position")
         self._enter(mode)
         return Result.ACCEPTED
+
+    def _intend(self, mode: Mode) -> None:
+        self.intended = mode
+        if mode not in (Mode.TAKEOFF, Mode.MISSION, Mode.RTL, Mode.LAND):
+            self._mode_after_disarm = mode
 
     def _enter(self, mode: Mode) -> None:
         self.mode = mode
@@ -366,9 +412,11 @@ class Commander:
             if math.isfinite(self._takeoff_altitude):
                 target = self._origin_altitude - self._takeoff_altitude
             # Never down: a takeoff to below where the vehicle is, stays.
-            self._autonomous = Takeoff(body, p, min(target, float(body.position[2])))
+            self._autonomous = Takeoff(body, p, min(target, float(body.position[2])), home[2], lambda: self.flying)
         elif mode is Mode.LAND:
             self._autonomous = Land(body, p, home[2])
+        elif mode is Mode.DESCEND:
+            self._autonomous = Descend(body, p, landing=True)
         elif mode is Mode.RTL and self.armed:
             self._autonomous = Return(body, p, home, self._home_yaw, self._origin_altitude - home[2], self.say)
         elif mode in STICKS:
@@ -429,10 +477,11 @@ class Commander:
 
     def _watch_ground(self) -> None:
         contact = float(self._body.contact_s[0])
-        if self.flying and contact == 0.0:
+        if self.flying and (contact == 0.0 or self._carried()):
             if not self._flown_since_arming:
                 self._flown_since_arming = True
                 self.has_flown = True
+                self._lifted_ms = self.now_ms
                 self.say("Takeoff detected")
             if self.mode is Mode.TAKEOFF or (
                 isinstance(self._autonomous, MissionFlight) and self._autonomous.taking_off
@@ -442,15 +491,21 @@ class Commander:
                 self.landed = Landed.LANDING
             else:
                 self.landed = Landed.IN_AIR
-        elif self.flying and self._ramp_ms is None and contact >= self._p["LNDMC_TRIG_TIME"]:
+        elif self.flying and self._ramp_ms is None and contact >= GROUND_NOTICED_S + self._p["LNDMC_TRIG_TIME"]:
             wanted_down = float(self._controller.velocity_setpoint[2])
-            if not wanted_down < -0.05 and not self._pushes:
+            if self._model.wrecked or (not wanted_down < -0.05 and not self._pushes):
                 self.flying = False
                 self.landed = Landed.ON_GROUND
                 self._landed_ms = self.now_ms
                 self.say("Landing detected")
         if not self.flying:
             self._watch_idle()
+
+    def _carried(self) -> bool:
+        """Whether a takeoff's thrust is no longer the lowest: takeoff is detected before the vehicle lifts off."""
+        thrust = math.sqrt(sum(float(x) ** 2 for x in self._controller.thrust_setpoint))
+        lowest, hover = self._p["MPC_THR_MIN"], self._p["MPC_THR_HOVER"]
+        return self._ramp_ms is not None and thrust > lowest + LOWEST_SHARE * (hover - lowest)
 
     def _watch_idle(self) -> None:
         """Auto-disarm: after landing, or when armed without ever taking off."""
@@ -466,10 +521,10 @@ class Commander:
         self.armed = False
         self.flying = False
         self.landed = Landed.ON_GROUND
-        self.failsafe = ""
+        self._failsafe = Failsafe()
+        self._conditions = Conditions()
+        self._new_mode = False
         self._ramp_ms = None
-        self._battery_action = None
-        self._later = None
         self.breach = Breach.NONE
         self.say(f"Disarmed by {why}")
         self.intended = self._mode_after_disarm
@@ -486,86 +541,133 @@ class Commander:
 
     # Failsafes
 
-    def _watch_stream(self) -> None:
-        alive = self.stream.alive(self.now_ms, self._p["COM_OF_LOSS_T"])
-        if self.intended is not Mode.OFFBOARD or self.failsafe not in ("", "offboard"):
+    @property
+    def failsafe(self) -> str:
+        """What is wrong and acted on; empty when nothing is."""
+        return self._failsafe.cause if self._failsafe.action > Action.WARN else ""
+
+    def hear_ground(self, system: int) -> None:
+        """A heartbeat of a ground station."""
+        if self._ground_lost and self._ground_ms is not None:
+            self.say("GCS connection regained")
+        self._ground_ms = self.now_ms
+        self._ground_lost = False
+
+    def _watch(self, dt: float) -> None:
+        """Look at what can go wrong, and fly what the failsafes want."""
+        p, now, before = self._p, self.now_ms, self._conditions
+        moved = self._watch_sticks()
+        if now >= self._look_due_ms:
+            self._look_due_ms = now + LOOK_MS
+            self._conditions = self._look()
+        offboard = self.intended is Mode.OFFBOARD
+        stream_lost = offboard and not self.stream.alive(now, p["COM_OF_LOSS_T"])
+        if stream_lost != self._conditions.stream_lost:
+            self._conditions = self._conditions._replace(stream_lost=stream_lost)
+        if self._conditions == before and not self._new_mode and not moved and self._failsafe.idle:
             return
-        if self.failsafe == "offboard":
-            if alive:
-                self.failsafe = ""
-                self._enter(Mode.OFFBOARD)
-        elif not alive:
-            self.failsafe = "offboard"
-            self.say("Failsafe activated", CRITICAL)
-            self._enter(FALLBACK[int(self._p["COM_OBL_RC_ACT"])])
+        was = self._failsafe
+        self._failsafe = follow(was, self._conditions, self.intended, p, dt, self._new_mode, moved)
+        self._new_mode = False
+        if self._failsafe.by_sticks:
+            self.say("Pilot took over using sticks")
+            self._intend(Mode.POSCTL)
+        self._act(was.action)
 
-    def _go_on(self) -> None:
-        """From the hold that a failsafe begins with to what it does then."""
-        if self._later is not None and self.now_ms >= self._later[0]:
-            _, then = self._later
-            self._later = None
-            self._enter(then)
+    def _act(self, before: Action) -> None:
+        """Fly what was decided, and tell when it is worse than before."""
+        action = self._failsafe.action
+        if action > max(before, Action.WARN):
+            hold = f", entering Hold for {self._failsafe.delay_s:.0f} seconds" if self._failsafe.waits else ""
+            self.say(f"Failsafe activated{hold}", CRITICAL)
+        mode = self._failsafe.mode(self.intended)
+        if action in (Action.DISARM, Action.TERMINATE):
+            self._stop("failsafe" if action is Action.DISARM else "flight termination")
+        elif mode is not self.mode or (action is Action.HOLD and before is not Action.HOLD):
+            self._enter(mode)
 
-    def _watch_sticks(self) -> None:
-        """Sticks moved in a mode that flies by itself take over (COM_RC_OVERRIDE); sticks lost: NAV_RCL_ACT."""
+    def _look(self) -> Conditions:
+        """What is wrong now, but for what is looked at in every tick."""
+        p, flying = self._p, self.flying
+        self._watch_battery()
+        self._watch_ground_station()
+        since_arming = (self.now_ms - self._armed_ms) / 1000.0
+        overturned = self.detector.overturned(self._body.attitude, p, self.now_ms)
+        setpoint = self.stream.setpoint
+        return Conditions(
+            stream_lost=self._conditions.stream_lost,
+            sticks_lost=self._sticks_lost and flying,
+            ground_lost=self._ground_lost and flying,
+            battery=self._battery_level if flying else 0,
+            battery_at_arming=self._battery_at_arming,
+            breached=self.breach is not Breach.NONE,
+            position_lost=not self._model.estimator.valid,
+            overturned=overturned and not self._model.wrecked,
+            motor_failed=self.detector.motor_failed(
+                self._model.faults.motors, self._controller.commands, p, self.now_ms, flying
+            ),
+            windy=flying and self._watch_wind(),
+            overdue=flying and 0.0 < p["COM_FLT_TIME_MAX"] <= (self.now_ms - self._lifted_ms) / 1000.0,
+            just_armed=since_arming < p["COM_SPOOLUP_TIME"] + p["COM_LKDOWN_TKO"],
+            attitude_only=setpoint is not None and math.isfinite(setpoint.thrust),
+        )
+
+    def _watch_ground_station(self) -> None:
+        heard = self._ground_ms
+        lost = heard is None or self.now_ms - heard > self._p["COM_DL_LOSS_T"] * 1000.0
+        if lost and not self._ground_lost:
+            self.say("Connection to ground station lost")
+        self._ground_lost = lost
+
+    def _watch_wind(self) -> bool:
+        """Whether there is more wind than COM_WIND_MAX; COM_WIND_WARN is told, once."""
         p = self._p
-        alive = self.sticks.alive(self.now_ms, p["COM_RC_LOSS_T"])
-        if self.failsafe == "sticks" and alive:
+        wind = math.hypot(float(self._body.air[0]), float(self._body.air[1]))
+        warned = self._wind_told
+        self._wind_told = 0.0 < p["COM_WIND_WARN"] < wind
+        if self._wind_told and not warned:
+            self.say(f"High wind speed detected ({wind:.1f} m/s), landing advised", WARNING)
+        return 0.0 < p["COM_WIND_MAX"] < wind
+
+    def _watch_sticks(self) -> bool:
+        """Whether moved sticks want to take over from a failsafe; without one they do so here (COM_RC_OVERRIDE)."""
+        p, sticks = self._p, self.sticks
+        alive = sticks.alive(self.now_ms, p["COM_RC_LOSS_T"])
+        self._sticks_optional = self._sticks_optional and not alive
+        lost = not (alive or self._sticks_optional)
+        if lost and not self._sticks_lost:
+            self.say("Manual control lost", CRITICAL)
+        elif self._sticks_lost and not lost:
             self.say("Manual control regained")
-            self._take(self.intended)
-        elif alive and self.flying and self.mode not in STICKS and self.sticks.moved(p["COM_RC_STICK_OV"] / 100.0):
-            if int(p["COM_RC_OVERRIDE"]) & (2 if self.mode is Mode.OFFBOARD else 1):
-                self.say("Pilot took over using sticks")
-                self._take(Mode.POSCTL)
-        elif self.intended in STICKS and not self.failsafe and self.sticks.lost(self.now_ms, p["COM_RC_LOSS_T"]):
-            then = STICKS_LOST.get(int(p["NAV_RCL_ACT"]))
-            if then is not None and self.flying:
-                self.failsafe = "sticks"
-                self.say("Manual control lost", CRITICAL)
-                self.say("Failsafe activated", CRITICAL)
-                self._enter(Mode.LOITER)
-                self._later = (self.now_ms + int(p["COM_FAIL_ACT_T"] * 1000.0), then)
+        if lost != self._sticks_lost:
+            self._look_due_ms = self.now_ms
+        self._sticks_lost = lost
+        if not (alive and self.flying and self.mode not in STICKS and sticks.moved(p["COM_RC_STICK_OV"] / 100.0)):
+            return False
+        if not int(p["COM_RC_OVERRIDE"]) & (2 if self.mode is Mode.OFFBOARD else 1):
+            return False
+        if self._failsafe.action > Action.WARN:
+            return True
+        self.say("Pilot took over using sticks")
+        self._take(Mode.POSCTL)
+        return False
 
     def _watch_fence(self) -> None:
-        """GF_ACTION when the fence is breached, once per breach; return and land wait COM_FAIL_ACT_T in hold."""
+        """See and tell a breach; what is done is GF_ACTION."""
         if self.now_ms < self._fence_due_ms or self.home is None:
             return
         self._fence_due_ms = self.now_ms + CHECK_MS
         before = self.breach
         self.breach = self.fence.now().breach(vector(self._body.position), self.home) if self.flying else Breach.NONE
-        action = int(self._p["GF_ACTION"])
-        if self.breach is Breach.NONE or before is not Breach.NONE or action == 0:
+        if self.breach is Breach.NONE or before is not Breach.NONE or not self._p["GF_ACTION"]:
             return
         self.breaches += 1
-        self.say("Geofence violation" if self.breach is Breach.BOUNDARY else "Maximum altitude exceeded", CRITICAL)
-        if action == TERMINATE:
-            self.say("Failsafe activated", CRITICAL)
-            self._stop("geofence")
-        elif action in FLOWN and not self.failsafe:
-            self.failsafe = "fence"
-            self.say("Failsafe activated", CRITICAL)
-            if action >= RETURN:
-                self._later = (self.now_ms + int(self._p["COM_FAIL_ACT_T"] * 1000.0), FLOWN[action])
-            self._enter(Mode.LOITER)
+        self._look_due_ms = self.now_ms
+        self._say(BREACHED[self.breach], CRITICAL)
 
     def _watch_battery(self) -> None:
-        """Warn at BAT_LOW_THR and BAT_CRIT_THR; act at the critical and emergency level by COM_LOW_BAT_ACT."""
-        p = self._p
+        """Tell a battery below BAT_LOW_THR, BAT_CRIT_THR, BAT_EMERGEN_THR; what is done is COM_LOW_BAT_ACT."""
         level = self.battery.level
         if level > self._battery_level:
-            self._battery_level = level
             self.say(("Low battery", "Critical battery", "Emergency battery level")[level - 1], WARNING)
-            action = int(p["COM_LOW_BAT_ACT"])
-            if level >= 2 and action and self.flying:
-                then = Mode.RTL if action == 3 and level == 2 else Mode.LAND
-                if self.failsafe != "battery":
-                    self.failsafe = "battery"
-                    self.say("Failsafe activated", CRITICAL)
-                self._battery_action = (self.now_ms + int(p["COM_FAIL_ACT_T"] * 1000.0), then)
-                if self.mode not in (Mode.RTL, Mode.LAND):
-                    self._enter(Mode.LOITER)
-        if self._battery_action is not None and self.now_ms >= self._battery_action[0]:
-            _, then = self._battery_action
-            self._battery_action = None
-            if self.mode is not then:
-                self._enter(then)
+        self._battery_level = level

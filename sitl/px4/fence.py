@@ -6,16 +6,10 @@ from sitl.geofence import Fence, areas
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.plan import PLACES, Plans, place
-from sitl.px4.modes import Mode
 from sitl.reference import Vec3
 
 CHECK_MS = 200
 """How often PX4's navigator looks."""
-WARNING, HOLD, RETURN, TERMINATE, LAND = 1, 2, 3, 4, 5
-"""GF_ACTION; 0 = none."""
-
-FLOWN = {HOLD: Mode.LOITER, RETURN: Mode.RTL, LAND: Mode.LAND}
-"""GF_ACTION -> mode."""
 
 
 class FenceOfParameters:

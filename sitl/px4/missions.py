@@ -22,6 +22,7 @@ def manners(p: Parameters) -> Manners:
         height=p["NAV_MC_ALT_RAD"],
         yaw_rate=math.radians(p["MPC_YAWRAUTO_MAX"]),
         first_height=p["MIS_TAKEOFF_ALT"],
+        tells_orders=True,
         takeoff_goes_there=True,
     )
 
@@ -49,7 +50,7 @@ class Pilot:
     def takeoff(self, down: float) -> Takeoff:
         if math.isnan(down):
             down = self.home()[2] - self.p["MIS_TAKEOFF_ALT"]
-        return Takeoff(self.body, self.p, min(down, float(self.body.position[2])))
+        return Takeoff(self.body, self.p, min(down, float(self.body.position[2])), self.home()[2], self.flying)
 
     def land(self, north: float, east: float) -> Land:
         return Land(self.body, self.p, self.home()[2], (north, east))

@@ -4,7 +4,7 @@ from enum import Enum
 
 
 class Mode(Enum):
-    """Flight modes by PX4's name; values are (main mode, sub mode) of `custom_mode`."""
+    """Flight modes by PX4's name; values begin with (main mode, sub mode) of `custom_mode`."""
 
     ALTCTL = (2, 0)
     POSCTL = (3, 0)
@@ -15,6 +15,8 @@ class Mode(Enum):
     RTL = (4, 5)
     LAND = (4, 6)
     OFFBOARD = (6, 0)
+    DESCEND = (4, 6, "without position")
+    """A failsafe only; on the wire it looks like LAND."""
 
 
 STICKS = (Mode.ALTCTL, Mode.POSCTL, Mode.STABILIZED)
@@ -32,13 +34,14 @@ BASE_MODE = {
     Mode.RTL: 0x1D,
     Mode.LAND: 0x1D,
     Mode.OFFBOARD: 0x11,
+    Mode.DESCEND: 0x1D,
 }
 """HEARTBEAT.base_mode while disarmed; armed adds 0x80."""
 
 
 def custom_mode(mode: Mode) -> int:
     """HEARTBEAT.custom_mode."""
-    main, sub = mode.value
+    main, sub = mode.value[:2]
     return int(main << 16 | sub << 24)
 
 

@@ -1,6 +1,7 @@
 """PX4 parameters: the real names, types and defaults of those that act on this vehicle or that clients ask for."""
 
 from sitl.parameters import INT32, REAL32, Parameter
+from sitl.world import OWN
 
 
 def _real(name: str, default: float, low: float, high: float) -> Parameter:
@@ -23,17 +24,39 @@ TABLE = (
     _int("CAL_ACC0_ID", 1310988, 0, 2**31 - 1),  # ground stations take 0 for "not calibrated"
     _int("CAL_GYRO0_ID", 1310988, 0, 2**31 - 1),
     _int("CAL_MAG0_ID", 197388, 0, 2**31 - 1),
+    _int("CBRK_FLIGHTTERM", 121212, 0, 121212),  # this value: the failure detector does not stop the motors
+    _int("COM_ACT_FAIL_ACT", 0, 0, 4),
+    _int("COM_ARMABLE", 1, 0, 1),
+    _real("COM_ARM_BAT_MIN", -1.0, -1.0, 0.9),
+    _int("COM_ARM_MIS_REQ", 0, 0, 1),
     _real("COM_DISARM_LAND", 2.0, -1.0, 20.0),
     _real("COM_DISARM_PRFLT", 10.0, -1.0, 100.0),
+    _int("COM_DL_LOSS_T", 10, 5, 300),
     _real("COM_FAIL_ACT_T", 5.0, 0.0, 25.0),
-    _int("COM_LOW_BAT_ACT", 0, 0, 3, among=(0, 2, 3)),  # PX4's default; its SIH airframe sets 3
-    _int("COM_OBL_RC_ACT", 0, 0, 5, among=(0, 3, 4, 5)),
+    _int("COM_FLT_TIME_MAX", -1, -1, 100000),
+    _real("COM_LKDOWN_TKO", 3.0, -1.0, 5.0),
+    _int("COM_LOW_BAT_ACT", 0, 0, 3),  # PX4's default; its SIH airframe sets 3
+    _int("COM_OBL_RC_ACT", 0, 0, 7),
     _real("COM_OF_LOSS_T", 1.0, 0.1, 60.0),
+    _int("COM_POSCTL_NAVL", 0, 0, 1),
+    _int("COM_RCL_EXCEPT", 0, 0, 31),
     _int("COM_RC_IN_MODE", 1, 0, 4),
     _real("COM_RC_LOSS_T", 0.5, 0.0, 35.0),
     _int("COM_RC_OVERRIDE", 1, 0, 3),
     _real("COM_RC_STICK_OV", 30.0, 5.0, 80.0),
     _real("COM_SPOOLUP_TIME", 1.0, 0.0, 30.0),
+    _int("COM_TAKEOFF_ACT", 0, 0, 1),
+    _real("COM_WIND_MAX", -1.0, -1.0, 100.0),
+    _int("COM_WIND_MAX_ACT", 0, 0, 5),
+    _real("COM_WIND_WARN", -1.0, -1.0, 100.0),
+    _int("EKF2_NOAID_TOUT", 5000000, 500000, 10000000),  # [us]
+    _int("FD_ACT_EN", 1, 0, 1),
+    _real("FD_ACT_MOT_THR", 0.2, 0.0, 1.0),
+    _int("FD_ACT_MOT_TOUT", 100, 10, 10000),
+    _int("FD_FAIL_P", 60, 0, 180),
+    _real("FD_FAIL_P_TTRI", 0.3, 0.02, 5.0),
+    _int("FD_FAIL_R", 60, 0, 180),
+    _real("FD_FAIL_R_TTRI", 0.3, 0.02, 5.0),
     _int("GF_ACTION", 2, 0, 5),
     _real("GF_MAX_HOR_DIST", 0.0, 0.0, 10000.0),
     _real("GF_MAX_VER_DIST", 0.0, 0.0, 10000.0),
@@ -43,18 +66,21 @@ TABLE = (
     _int("MAV_TYPE", 2, 0, 22),
     _real("MC_PITCHRATE_D", 0.003, 0.0, 0.05),
     _real("MC_PITCHRATE_I", 0.2, 0.0, 2.0),
+    _real("MC_PITCHRATE_K", 1.0, 0.01, 5.0),
     _real("MC_PITCHRATE_MAX", 220.0, 1.0, 1800.0),
     _real("MC_PITCHRATE_P", 0.15, 0.01, 0.6),
     _real("MC_PITCH_P", 6.5, 0.1, 12.0),
     _real("MC_PR_INT_LIM", 0.3, 0.0, 10.0),
     _real("MC_ROLLRATE_D", 0.003, 0.0, 0.05),
     _real("MC_ROLLRATE_I", 0.2, 0.0, 2.0),
+    _real("MC_ROLLRATE_K", 1.0, 0.01, 5.0),
     _real("MC_ROLLRATE_MAX", 220.0, 1.0, 1800.0),
     _real("MC_ROLLRATE_P", 0.15, 0.01, 0.6),
     _real("MC_ROLL_P", 6.5, 0.1, 12.0),
     _real("MC_RR_INT_LIM", 0.3, 0.0, 10.0),
     _real("MC_YAWRATE_D", 0.0, 0.0, 0.05),
     _real("MC_YAWRATE_I", 0.1, 0.0, 2.0),
+    _real("MC_YAWRATE_K", 1.0, 0.0, 5.0),
     _real("MC_YAWRATE_MAX", 200.0, 1.0, 1800.0),
     _real("MC_YAWRATE_P", 0.2, 0.0, 0.6),
     _real("MC_YAW_P", 2.8, 0.1, 5.0),
@@ -108,9 +134,9 @@ TABLE = (
     _real("MPC_Z_V_AUTO_DN", 1.5, 0.5, 4.0),
     _real("MPC_Z_V_AUTO_UP", 3.0, 0.5, 8.0),
     _real("NAV_ACC_RAD", 2.0, 0.05, 200.0),
-    _int("NAV_DLL_ACT", 0, 0, 0, among=(0,)),
+    _int("NAV_DLL_ACT", 0, 0, 6, among=(0, 1, 2, 3, 5, 6)),
     _real("NAV_MC_ALT_RAD", 0.8, 0.05, 200.0),
-    _int("NAV_RCL_ACT", 2, 1, 3, among=(1, 2, 3)),
+    _int("NAV_RCL_ACT", 2, 1, 6, among=(1, 2, 3, 5, 6)),
     _int("RTL_CONE_ANG", 45, 0, 90, among=(0, 25, 45, 65, 80, 90)),
     _real("RTL_DESCEND_ALT", 10.0, 0.0, 1000.0),
     _real("RTL_LAND_DELAY", 0.0, 0.0, 1000.0),
@@ -127,5 +153,8 @@ TABLE = (
     _real("SIH_Q_MAX", 0.1, 0.001, 100.0),
     _real("SIH_T_MAX", 5.0, 0.1, 1000.0),
     _real("SIH_T_TAU", 0.05, 0.01, 1.0),
+    _int("SIM_GPS_USED", 10, 0, 50),
     _int("SYS_AUTOSTART", 10040, 0, 9999999),
+    _int("SYS_FAILURE_EN", 1, 0, 1),
+    *OWN,
 )

@@ -6,13 +6,14 @@ from sitl.frames import Payload
 from sitl.frames import pack as packed
 from sitl.parameters import Parameters
 from sitl.personality import Answers, FlightMode, Missions, Personality, Result, Version
+from sitl.physics import euler
 from sitl.plan import Verdict
 from sitl.px4.commander import BOOT, Commander
 from sitl.px4.modes import NAMES, custom_mode, mode_number
 from sitl.px4.parameters import TABLE
 from sitl.px4.streams import COMPANION_RATES_HZ, GCS_RATES_HZ
-from sitl.px4.vehicle_setup import gains, pack, rotorcraft
-from sitl.telemetry import MESSAGES, euler
+from sitl.px4.vehicle_setup import gains, pack, rotorcraft, world
+from sitl.telemetry import MESSAGES
 from sitl.transfer import Rules
 from sitl.vehicle import Vehicle
 
@@ -22,6 +23,7 @@ NAN = math.nan
 SENSORS_PRESENT = (0, 0x0300402D)
 SENSORS_ENABLED = (0, 0x0301402D)
 SENSORS_HEALTH = (0x2320883F, 0x2320C83F)
+GPS = 0x20
 PREARM_CHECK = 0x10000000
 """MAV_SYS_STATUS_PREARM_CHECK, once the vehicle may arm."""
 
@@ -32,8 +34,10 @@ ESTIMATOR_READY = 831
 
 def sensors(v: Vehicle) -> tuple[int, int, int]:
     """SYS_STATUS: sensors present, enabled, healthy."""
-    known = v.located
+    known = v.now_ms >= BOOT.position_ms
     health = SENSORS_HEALTH[known] | (PREARM_CHECK if v.commander.ready else 0)
+    if not v.model.estimator.gps:
+        health &= ~GPS
     return SENSORS_PRESENT[known], SENSORS_ENABLED[known], health
 
 
@@ -120,6 +124,7 @@ PX4 = Personality(
     gains=gains,
     craft=rotorcraft,
     pack=pack,
+    world=world,
     mode_number=mode_number,
     sensors=sensors,
     messages={

@@ -6,11 +6,16 @@ from sitl.battery import Pack
 from sitl.control import Gains
 from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, Rotorcraft
+from sitl.world import World, in_the_air
+from sitl.world import world as own_world
+
+SATELLITES_MIN = 4
+"""SIM_GPS_USED below this is no fix."""
 
 
 def rotorcraft(p: Parameters) -> Rotorcraft:
     """The airframe of the SIH_* parameters."""
-    return Rotorcraft(
+    craft = Rotorcraft(
         mass=p["SIH_MASS"],
         inertia=(p["SIH_IXX"], p["SIH_IYY"], p["SIH_IZZ"]),
         arm_roll=p["SIH_L_ROLL"],
@@ -21,6 +26,12 @@ def rotorcraft(p: Parameters) -> Rotorcraft:
         drag=p["SIH_KDV"],
         angular_drag=p["SIH_KDW"],
     )
+    return in_the_air(craft, p)
+
+
+def world(p: Parameters) -> World:
+    """The world of the SITL_* parameters; a position lasts EKF2_NOAID_TOUT [us] without GPS."""
+    return own_world(p, p["EKF2_NOAID_TOUT"] * 1e-6, gps_fix=p["SIM_GPS_USED"] >= SATELLITES_MIN)
 
 
 def pack(p: Parameters) -> Pack:
@@ -31,7 +42,14 @@ def pack(p: Parameters) -> Pack:
         full_v=p["BAT1_V_CHARGED"],
         empty_v=p["BAT1_V_EMPTY"],
         thresholds=(p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"]),
+        cell_ohm=p["SITL_BAT_R"],
     )
+
+
+def rate_gains(p: Parameters, which: str) -> tuple[float, float, float]:
+    """MC_*RATE_P, I or D, times MC_*RATE_K."""
+    roll, pitch, yaw = (p[f"MC_{axis}RATE_{which}"] * p[f"MC_{axis}RATE_K"] for axis in ("ROLL", "PITCH", "YAW"))
+    return roll, pitch, yaw
 
 
 def gains(p: Parameters) -> Gains:
@@ -58,9 +76,9 @@ def gains(p: Parameters) -> Gains:
             math.radians(p["MC_PITCHRATE_MAX"]),
             math.radians(p["MC_YAWRATE_MAX"]),
         ),
-        rate_p=(p["MC_ROLLRATE_P"], p["MC_PITCHRATE_P"], p["MC_YAWRATE_P"]),
-        rate_i=(p["MC_ROLLRATE_I"], p["MC_PITCHRATE_I"], p["MC_YAWRATE_I"]),
-        rate_d=(p["MC_ROLLRATE_D"], p["MC_PITCHRATE_D"], p["MC_YAWRATE_D"]),
+        rate_p=rate_gains(p, "P"),
+        rate_i=rate_gains(p, "I"),
+        rate_d=rate_gains(p, "D"),
         rate_integral_max=(p["MC_RR_INT_LIM"], p["MC_PR_INT_LIM"], p["MC_YR_INT_LIM"]),
         yaw_torque_hz=p["MC_YAW_TQ_CUTOFF"],
     )

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from sitl.frames import Message, name_of, pack
 from sitl.link import Link
 from sitl.personality import Result
-from sitl.services import goto, modes
+from sitl.services import failure_injection, goto, modes
 from sitl.services.command import Command, from_int, from_long
 from sitl.vehicle import Vehicle
 
@@ -45,7 +45,7 @@ def return_to_launch(v: Vehicle, _: Link, command: Command) -> Result:
 
 
 def mission_start(v: Vehicle, _: Link, command: Command) -> Result:
-    return v.commander.start_mission()
+    return v.commander.start_mission(command.p[0], command.p[1])
 
 
 def set_home(v: Vehicle, _: Link, command: Command) -> Result:
@@ -117,6 +117,7 @@ HANDLERS: dict[int, Callable[[Vehicle, Link, Command], Result | None]] = {
     300: mission_start,
     400: arm_disarm,
     410: _send("HOME_POSITION"),
+    420: failure_injection.inject_failure,
     510: get_message_interval,
     511: set_message_interval,
     512: request_message,

@@ -45,7 +45,7 @@ def do_pause_continue(v: Vehicle, _: Link, c: Command) -> Result:
 
 
 def do_set_mission_current(v: Vehicle, _: Link, c: Command) -> Result:
-    """param1 the item, -1 the current one; param2 1 forgets how often jumps were followed."""
+    """param1 the item, -1 the current one. How often jumps were followed is forgotten."""
     if not math.isfinite(c.p[0]):
         return Result.DENIED
     return set_current(v, v.commander.plans.current if c.p[0] == -1.0 else int(c.p[0]))

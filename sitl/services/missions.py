@@ -10,13 +10,16 @@ from sitl import transfer
 from sitl.frames import Message, Payload, pack
 from sitl.link import Link
 from sitl.personality import CRITICAL, Result
-from sitl.plan import Item, Kind
-from sitl.transfer import Ack, Ask, Client, Count, Deed, Give, Say, Step, Store
+from sitl.plan import WAYPOINT, Item, Kind, Verdict, judge, place
+from sitl.targets import Destination
+from sitl.transfer import IDLE, Ack, Ask, Client, Count, Deed, Give, Say, Step, Store
 from sitl.vehicle import Vehicle
 
 DEGREES = 1e-7
 """Of the integers in MISSION_ITEM_INT."""
 INT32_MAX = 2**31 - 1
+GUIDED = 2
+"""MISSION_ITEM.current of a place to fly to now."""
 
 
 def client(link: Link, message: Message) -> Client:
@@ -114,9 +117,27 @@ def mission_item(v: Vehicle, link: Link, message: Message) -> None:
 def _item(v: Vehicle, link: Link, m: Message, x: int, y: int, integer: bool) -> None:
     p = (m.param1, m.param2, m.param3, m.param4)
     item = Item(m.frame, m.command, p, x, y, m.z, int(m.autocontinue))
+    if m.current == GUIDED and v.personality.missions.home_first:
+        take(v, (v.exchange.transfer, (Ack(client(link, m), m.mission_type, go_to(v, item)),)))
+        return
     rules = v.personality.missions.rules
     state, who = v.exchange.transfer, client(link, m)
     take(v, transfer.on_item(state, who, m.mission_type, m.seq, item, integer, v.now_ms, rules))
+
+
+def go_to(v: Vehicle, item: Item) -> Verdict:
+    """ArduPilot: an item that is no part of a mission is a place to fly to in GUIDED, now."""
+    verdict = judge(item, Kind.MISSION)
+    if verdict is not Verdict.ACCEPTED or item.command != WAYPOINT:
+        return verdict if verdict is not Verdict.ACCEPTED else Verdict.UNSUPPORTED
+    goal = place(item, v.origin, v.commander.home or (0.0, 0.0, 0.0), v.position())
+    taken = v.commander.reposition(Destination(goal, math.nan, 0.0, 0))
+    return Verdict.ACCEPTED if taken is Result.ACCEPTED else Verdict.ERROR
+
+
+def mission_request_partial_list(v: Vehicle, link: Link, message: Message) -> None:
+    """Parts of plans are not transferred: refused at once."""
+    take(v, (v.exchange.transfer, (Ack(client(link, message), message.mission_type, Verdict.UNSUPPORTED),)))
 
 
 def mission_request_list(v: Vehicle, link: Link, message: Message) -> None:
@@ -167,8 +188,11 @@ def set_current(v: Vehicle, seq: int) -> Result:
 
 def tell_progress(v: Vehicle, links: Sequence[Link]) -> None:
     """Every tick: ask again for items that did not come, and tell everybody of progress."""
-    take(v, transfer.on_time(v.exchange.transfer, v.now_ms, v.personality.missions.rules))
+    if v.exchange.transfer is not IDLE:
+        take(v, transfer.on_time(v.exchange.transfer, v.now_ms, v.personality.missions.rules))
     plans = v.commander.plans
+    if not plans.reached and v.exchange.told_current == plans.current:
+        return
     for seq in plans.reached:
         _to_all(links, (pack("MISSION_ITEM_REACHED", seq=seq),))
     plans.reached.clear()

@@ -12,12 +12,14 @@ from sitl.vehicle import Vehicle
 
 def setup_signing(v: Vehicle, link: Link, message: Message) -> None:
     """A key and a timestamp of zeros end signing. Not acknowledged, as the protocol has it; the log tells."""
-    if message.target_system != link.system:
-        link.counters["key refused"] += 1  # a key is for one vehicle, not for everybody
-        return
-    if v.commander.armed:
+    try:
+        if message.target_system != link.system:
+            raise ValueError("for everybody")
+        if v.commander.armed:
+            raise ValueError("armed")
+        link.signing.set_up(bytes(message.secret_key), message.initial_timestamp)
+    except ValueError as error:
         link.counters["key refused"] += 1
-        v.commander.say("Signing key refused: armed", WARNING)
+        v.commander.say(f"Signing key refused: {error}", WARNING)
         return
-    link.signing.set_up(bytes(message.secret_key), message.initial_timestamp)
     v.commander.say("Signing key set" if link.signing.active else "Signing ended")

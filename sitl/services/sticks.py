@@ -2,6 +2,7 @@
 
 from sitl.frames import Message
 from sitl.link import Link
+from sitl.sensors import Loss
 from sitl.targets import Sticks
 from sitl.vehicle import Vehicle
 
@@ -19,7 +20,7 @@ def unit(value: float) -> float:
 
 def manual_control(v: Vehicle, _: Link, m: Message) -> None:
     """x forward, y right, r clockwise from -1000 to 1000; z from 0 to 1000. Axes out of range are not there."""
-    if m.target not in (0, int(v.parameters[v.personality.system_id])):
+    if m.target not in (0, int(v.parameters[v.personality.system_id])) or v.model.faults.lost(Loss.STICKS, v.now_ms):
         return
     axes = (m.x, m.y, m.z, m.r)
     if any(abs(value) > FULL for value in axes):
@@ -30,6 +31,8 @@ def manual_control(v: Vehicle, _: Link, m: Message) -> None:
 
 def rc_channels_override(v: Vehicle, _: Link, m: Message) -> None:
     """Channels 1 to 4: roll, pitch (low is forward), throttle, yaw."""
+    if v.model.faults.lost(Loss.STICKS, v.now_ms):
+        return
     pulses = (m.chan1_raw, m.chan2_raw, m.chan3_raw, m.chan4_raw)
     if all(pulse in UNUSED_US for pulse in pulses):
         v.commander.pilot(None, radio=True)

@@ -226,6 +226,7 @@ class Direct(Client):
     def close(self) -> None:
         super().close()
         self.autopilot.network.close()
+        assert not self.autopilot.defects, "a service or telemetry raised; its traceback is on stderr"
 
     def step(self, ms: int) -> int:
         before = self.link.sent

@@ -18,4 +18,5 @@ def vehicle() -> Iterator[Direct]:
 def hovering(vehicle: Direct) -> Direct:
     """The same, hovering in AUTO.LOITER 10 m above home."""
     vehicle.take_off(499.4)
+    vehicle.fly(3)  # PX4 says that it holds while it still climbs the last 0.8 m
     return vehicle

@@ -355,7 +355,7 @@ def test_offboard_entered_during_takeoff_is_not_stolen(vehicle):
     vehicle.command(TAKEOFF, 0, 0, 0, NAN, NAN, NAN, 499.4)
     vehicle.until(lambda: vehicle.landed == 3, 10)
     vehicle.offboard(0.0, 0.0, -1.0)
-    vehicle.fly(12, lambda: vehicle.setpoint(0.0, 0.0, -1.0))
+    vehicle.fly(15, lambda: vehicle.setpoint(0.0, 0.0, -1.0))
     assert vehicle.mode == OFFBOARD
     assert vehicle.position[2] < -11
 

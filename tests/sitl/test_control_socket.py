@@ -1,12 +1,20 @@
 """The control socket with several clients: one owns the clock, none disturbs another (docs/architecture.md)."""
 
+import contextlib
 import json
 import socket
 import time
+from collections.abc import Iterator
 from typing import TextIO
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from sitl.injection import INJECTIONS
+from sitl.parameters import Parameters
+from sitl.px4.personality import PX4
+from sitl.server import Options, Server
 from tests.sitl.client import lockstep
 from tests.sitl.process import sitl_process
 
@@ -73,3 +81,53 @@ def test_a_client_that_does_not_read_holds_up_nobody():
             with pytest.raises((ConnectionResetError, BrokenPipeError, TimeoutError)):
                 ask_for_ever(deaf)
         assert owner.ask("advance 50").startswith("advanced 50 ")
+
+
+numbers = st.one_of(
+    st.integers(-5, 10**12).map(str), st.floats().map(repr), st.sampled_from(["", "nan", "-1", "1e400"])
+)
+words = st.one_of(
+    st.sampled_from([*INJECTIONS, "hello", "vehicle", "counters", "inject", "1", "2"]), numbers, st.text()
+)
+lines = st.one_of(
+    st.text(max_size=80),
+    st.lists(words, max_size=5).map(" ".join),
+    st.tuples(st.sampled_from(sorted(INJECTIONS)), st.lists(numbers, max_size=4)).map(
+        lambda made: " ".join(("inject", made[0], *made[1]))
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    """In this process, its clock owned by nobody."""
+    options = Options(
+        PX4, Parameters(PX4.table), companion_bind=0, gcs_bind=0, gcs_port=1, companion_port=2, lockstep=True
+    )
+    one = Server(options)
+    yield one
+    one.close()
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(lines, max_size=6))
+def test_any_lines_get_an_answer_each_and_leave_a_vehicle_that_moves(server: Server, asked: list[str]):
+    """One line of answer per line, whatever it says."""
+    asked = [line.replace("\n", " ") for line in asked if line.strip() != "quit"]
+    assert server._control is not None
+    with socket.create_connection(("127.0.0.1", server._control.port)) as client:
+        pending = b""
+        client.sendall("".join(f"{line}\n" for line in [*asked, "advance 10"]).encode("utf-8", "replace"))
+        server.turn()  # accepts
+        answers = []
+        while len(answers) <= len(asked):
+            server.turn()
+            client.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                pending += client.recv(1 << 20)
+            *answers, _ = pending.split(b"\n")
+        assert answers[-1].startswith(b"advanced ")
+        assert all(answers)
+    while server._control.owner is not None:
+        server.turn()
+    assert not server.instances[0].autopilot.defects

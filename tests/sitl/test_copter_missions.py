@@ -5,6 +5,9 @@ import math
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
+from sitl.arducopter.parameters import TABLE
+from sitl.arducopter.sticks import climb_rate
+from sitl.parameters import Parameters
 from tests.sitl.copter import AUTO, GUIDED, LAND, LOITER, RTL, STABILIZE, copter
 from tests.sitl.plans import (
     CHANGE_SPEED,
@@ -74,11 +77,18 @@ def test_item_0_is_home(ready):
     assert back[0][3:5] == pytest.approx(HOME[3:5], abs=2)
     assert back[0][5] == pytest.approx(489.4, abs=0.1)
     assert {i[0] for i in back[1:]} == {3}  # MAV_FRAME_GLOBAL_RELATIVE_ALT
+    assert ready.command(512, 42) == ACCEPTED
+    assert ready.latest["MISSION_CURRENT"].total == 3  # home is not counted
+    ready.send(mavlink.MAVLink_param_request_read_message(1, 1, b"MIS_TOTAL", -1))
+    ready.advance()
+    assert ready.latest["PARAM_VALUE"].param_value == 4.0  # here it is
 
 
 def test_auto_without_a_mission_fails(ready):
     """AUTOPILOT.md 3: FAILED: AUTO without mission. Home alone is none."""
     assert ready.command(DO_SET_MODE, 1, AUTO) == FAILED
+    assert ready.command(512, 42) == ACCEPTED
+    assert (ready.latest["MISSION_CURRENT"].total, ready.latest["MISSION_CURRENT"].mission_state) == (65535, 1)
     assert upload(ready, [HOME]) == ACCEPTED
     assert ready.command(DO_SET_MODE, 1, AUTO) == FAILED
 
@@ -126,6 +136,7 @@ def test_auto_waits_on_the_ground_for_mission_start(ready):
     assert ready.command(DO_SET_MODE, 1, AUTO) == ACCEPTED
     ready.fly(5)
     assert ready.position[2] == 0.0
+    assert ready.command(START, 1, 0) == DENIED
     assert ready.command(START) == ACCEPTED
     ready.until(lambda: ready.position[2] < -3, 15)
 
@@ -156,7 +167,7 @@ def test_speed_hold_jump_and_return(ready):
     assert ready.command(CHANGE_SPEED, 1, 5.0) == ACCEPTED
     ready.until(lambda: ready.velocity[0] > 4.0, 5)
     ready.until(lambda: not ready.armed, 120)
-    assert reached(ready)[:6] == [1, 2, 3, 4, 5, 3]
+    assert reached(ready)[:4] == [1, 3, 4, 3]  # told of what is flown, not of orders
     assert ready.mode == AUTO  # RETURN_TO_LAUNCH in a mission does not change the mode
     assert ready.position == pytest.approx((0, 0, 0), abs=0.5)
 
@@ -242,6 +253,22 @@ def test_uploaded_areas_and_fence_enable(hovering_copter):
     assert reposition_int(vehicle, 20.0, 0.0, 499.4) == ACCEPTED
 
 
+def test_a_guided_mission_item_is_flown_to(hovering_copter):
+    """MISSION_ITEM with current = 2, as MAVProxy's `guided` sends it; the mission stays as it is."""
+    vehicle = hovering_copter
+    assert upload(vehicle, FLIGHT) == ACCEPTED
+    vehicle.send(message(0, item(WAYPOINT, 6.0, -3.0, 12.0), current=2, integer=False))
+    vehicle.advance(50)
+    assert vehicle.latest["MISSION_ACK"].type == 0
+    vehicle.fly(12)
+    assert vehicle.position == pytest.approx((6.0, -3.0, -12.0), abs=0.6)  # float32 degrees
+    assert vehicle.mode == GUIDED
+    assert len(download(vehicle)) == 4
+    vehicle.send(message(0, item(TAKEOFF, 6.0, -3.0, 12.0), current=2))
+    vehicle.advance(50)
+    assert vehicle.latest["MISSION_ACK"].type == UNSUPPORTED
+
+
 # Sticks
 
 
@@ -259,6 +286,17 @@ def test_loiter_by_sticks_and_back_to_the_simulated_radio(hovering_copter):
     vehicle.fly(3)
     assert vehicle.position == pytest.approx(place, abs=0.3)
     assert vehicle.mode == LOITER
+
+
+def test_throttle_stick_to_climb_rate():
+    """PILOT_SPEED_UP and PILOT_SPEED_DN (0: as up) beyond THR_DZ."""
+    p = Parameters(TABLE)
+    assert [climb_rate(stick, p) for stick in (-1.0, -0.55, -0.1, 0.0, 0.1, 0.55, 1.0)] == pytest.approx(
+        [-2.5, -1.25, 0.0, 0.0, 0.0, 1.25, 2.5]
+    )
+    p.set("PILOT_SPEED_DN", 100.0)
+    assert climb_rate(-1.0, p) == pytest.approx(-1.0)
+    assert climb_rate(1.0, p) == pytest.approx(2.5)
 
 
 def test_takeoff_and_landing_by_sticks_in_stabilize(ready):

@@ -8,15 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
-from sitl.frames import frame, pack, unpack
+from sitl.frames import WITHOUT_LAYOUT, frame, pack, unpack
 from sitl.px4.personality import PX4
 
 
 def test_every_telemetry_message_reads_back(hovering):
     """All that can be streamed or requested decodes with pymavlink, with the state's values in it."""
+    hovering.fly(3)
     for name, build in PX4.messages.items():
         payload = build(hovering.autopilot.vehicle)
         message = mavlink.MAVLink(None).decode(bytearray(frame(payload, 7, 1, 1)))
+        if payload.message_id in WITHOUT_LAYOUT:
+            assert message.get_type() == f"UNKNOWN_{payload.message_id}"
+            continue
         assert message.get_type() == name
         assert message.get_seq() == 7
     assert hovering.latest["LOCAL_POSITION_NED"].z == pytest.approx(-10, abs=0.5)

@@ -29,7 +29,7 @@ def fly_north(vehicle, until, speed=4.0, limit_s=20.0):
 
 
 def breached(vehicle):
-    return any("violation" in text or "exceeded" in text for text in vehicle.texts())
+    return any(text.startswith("Geofence:") for text in vehicle.texts())
 
 
 def test_fence_upload_download_clear(vehicle):
@@ -59,7 +59,7 @@ def test_breach_action(action, mode):
         crossed_ms = vehicle.time_ms
         vehicle.fly(1.5, lambda: vehicle.setpoint(4.0, 0.0, 0.0))
         assert breached(vehicle) == (action != NONE)
-        assert ("Failsafe activated" in vehicle.texts()) == (action >= HOLD)
+        assert any(text.startswith("Failsafe activated") for text in vehicle.texts()) == (action >= HOLD)
         if action in (RETURN, LAND):
             assert vehicle.mode == LOITER
             vehicle.until(lambda: vehicle.mode == mode, 10)
@@ -91,12 +91,12 @@ def test_distance_and_height_limits():
         vehicle.fly(1.2, lambda: vehicle.setpoint(0.0, 0.0, -2.0))
         vehicle.until(lambda: vehicle.mode == LOITER, 20, lambda: vehicle.setpoint(0.0, 0.0, -2.0))
         assert -19 < vehicle.position[2] < -15
-        assert "Maximum altitude exceeded" in vehicle.texts()
+        assert "Geofence: exceeding maximum altitude above Home" in vehicle.texts()
         assert vehicle.command(192, -1, 1, 0, NAN, NAN, NAN, 489.4 + 12.0) == ACCEPTED
         vehicle.fly(8)
         fly_north(vehicle, lambda: vehicle.position[0] > 20.5)
         vehicle.until(lambda: vehicle.mode == LOITER, 2)
-        assert "Geofence violation" in vehicle.texts()
+        assert "Geofence: approaching or outside geofence" in vehicle.texts()
 
 
 def test_exclusion_and_circle(hovering):
@@ -118,7 +118,7 @@ def test_after_the_breach_the_pilot_may_fly_on(hovering):
     assert hovering.mode == OFFBOARD
     assert hovering.position[0] < 14
     fly_north(hovering, lambda: hovering.mode == LOITER)  # a second breach acts again
-    assert hovering.texts().count("Geofence violation") == 2
+    assert hovering.texts().count("Geofence: approaching or outside geofence") == 2
 
 
 def test_destinations_outside_are_not_flown_to(hovering):
@@ -136,9 +136,11 @@ def test_missions_that_leave_the_fence_are_not_flown(vehicle):
     plan = [item(TAKEOFF, up=5.0), item(WAYPOINT, 10.0, 0.0, 5.0), item(WAYPOINT, 30.0, 0.0, 5.0)]
     assert upload(vehicle, SQUARE, kind=1) == ACCEPTED
     assert upload(vehicle, plan) == ACCEPTED
+    vehicle.advance()
+    assert vehicle.texts() == ["Geofence violation for waypoint 3"]  # told at once
     assert vehicle.command(176, 1, 4, 4) == TEMPORARILY_REJECTED
-    assert "Geofence violation for waypoint 3" in vehicle.texts()
     assert vehicle.command(300) == DENIED
+    assert vehicle.texts()[-1] == "Mission start denied! No valid mission"
     assert upload(vehicle, plan[:2]) == ACCEPTED
     assert vehicle.command(176, 1, 4, 4) == ACCEPTED
 

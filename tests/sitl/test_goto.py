@@ -99,3 +99,9 @@ def test_what_is_not_done_is_refused_at_once(vehicle, number):
     """AUTOPILOT.md 1: orbit, follow, gimbal, camera: UNSUPPORTED, at once (the ACK comes within 100 ms)."""
     vehicle.boot()
     assert vehicle.command(number) == UNSUPPORTED
+
+
+def test_follow_me_is_refused(vehicle):
+    """AUTOPILOT.md 1: follow: MAVSDK asks for AUTO.FOLLOW_TARGET (4, 8)."""
+    vehicle.boot()
+    assert vehicle.command(176, 1, 4, 8) == UNSUPPORTED

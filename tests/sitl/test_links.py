@@ -98,6 +98,41 @@ def test_a_flown_vehicle_can_be_handed_from_one_client_to_another(vehicle: Direc
     assert vehicle.until(lambda: vehicle.mode == (4, 6), 2) <= 2
 
 
+def test_a_client_of_mavlink_1_is_understood(vehicle: Direct):
+    """And answered with MAVLink 2, as PX4 does."""
+    vehicle.boot()
+    with Other(vehicle.to, 255) as old:
+        ping = mavlink.MAVLink_ping_message(4, 1, 0, 0)
+        old.udp.sendto(ping.pack(old.mav, force_mavlink1=True), old.to)
+        vehicle.fly(0.1)
+        assert [m.time_usec for m in old.received() if m.get_type() == "PING"] == [4]
+
+
+PARAMETERS = mavlink.MAVLink_param_request_list_message(1, 1).pack(mavlink.MAVLink(None, srcSystem=255))
+
+
+def test_a_udp_client_that_vanishes_in_mid_transfer_is_forgotten(hovering: Direct):
+    with Other(hovering.to, 255) as client:
+        client.udp.sendto(PARAMETERS, hovering.to)
+        hovering.fly(0.05)
+        assert len(hovering.autopilot.network.links) == 3
+    hovering.fly(11)
+    assert len(hovering.autopilot.network.links) == 2
+    assert hovering.position[2] == pytest.approx(-10, abs=0.5)
+
+
+def test_a_tcp_client_that_vanishes_in_mid_transfer_is_forgotten(tcp: "TcpVehicle"):
+    client = tcp.connect()
+    client.tcp.sendall(PARAMETERS)
+    tcp.advance()
+    assert len(tcp.port.links) == 1
+    client.tcp.close()
+    tcp.advance(1000)
+    tcp.advance(1000)
+    assert tcp.port.links == []
+    assert not tcp.autopilot.defects
+
+
 def test_the_number_of_peers_is_bounded(vehicle: Direct):
     vehicle.fly(1)
     others = [Other(vehicle.to, 100 + k) for k in range(PEERS_MAX + 3)]
@@ -366,6 +401,24 @@ def test_a_flood_does_not_end_offboard_in_lockstep(hovering: Direct, kind: str, 
     assert hovering.velocity[0] == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs connected UDP sockets on a shared port, as Linux has them")
+@pytest.mark.parametrize("known", [False, True])
+def test_a_full_receive_buffer_of_a_flooder_keeps_nobody_else_out(vehicle: Direct, known: bool):
+    """More than the kernel has room for, then a client's frame: it gets through, be the flooder served or not."""
+    vehicle.fly(1)
+    flood = flood_frames()["heartbeats" if known else "garbage"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as flooder:
+        flooder.sendto(flood, vehicle.to)
+        vehicle.fly(0.1)
+        for _ in range(40_000):
+            flooder.sendto(flood, vehicle.to)
+        vehicle.send(mavlink.MAVLink_ping_message(9, 9, 0, 0))
+        vehicle.advance()
+    assert vehicle.latest["PING"].time_usec == 9
+    lost = [count["lost"] for count in vehicle.autopilot.network.counters().values()]
+    assert max(lost) > 1000
+
+
 @pytest.mark.timeout(120)
 def test_a_flood_does_not_end_offboard_when_paced():
     """The same with the server's own pacing, on a wall clock of the test's; a tick every 10 ms."""
@@ -406,7 +459,7 @@ def test_a_flood_does_not_end_offboard_when_paced():
             client.offboard(1.0, 0.0, 0.0)
             client.fly(1.2, lambda: client.setpoint(1.0, 0.0, 0.0))
             flood_per_tick = 500
-            for _ in range(FLOOD // (5 * flood_per_tick)):
+            for _ in range(200_000 // (5 * flood_per_tick)):
                 client.setpoint(1.0, 0.0, 0.0)
                 client.messages.clear()
                 client.advance()

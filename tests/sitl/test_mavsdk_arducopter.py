@@ -14,7 +14,7 @@ from mavsdk.plugins.telemetry import LandedState, Telemetry
 
 from tests.sitl.process import sitl_process
 
-SPEED = 6.0
+SPEED = 10.0
 
 
 def wait_for(condition: Callable[[], bool], limit_s: float = 60.0) -> None:

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from airframe.power import Panel, RotaryWing, drag_force
 from sitl.parameters import Parameters
 from sitl.physics import GRAVITY, body_at_rest, heading, rotate, rotate_back, step_body, turn
+from sitl.physics import drag_force as air_force
 from sitl.px4.parameters import TABLE
 from sitl.px4.vehicle_setup import rotorcraft
 
@@ -45,6 +48,74 @@ def test_free_fall_follows_linear_drag():
     for _ in range(5000):
         step_body(body, np.zeros(4), SIH, DT)
     assert body.velocity[2] == pytest.approx(terminal, rel=1e-6)
+
+
+@given(st.tuples(*[st.floats(-15, 15)] * 4), st.floats(-3.1, 3.1))
+def test_panel_drag_is_that_of_the_power_model(v, yaw):
+    """A level body with its panel across x: `airframe.power.drag_force`, x east and y north there."""
+    p = Parameters(TABLE)
+    p.set("SITL_PANEL_AREA", 0.09)
+    p.set("SIH_KDV", 0.0)
+    body = falling()
+    body.velocity[:2], body.air[:2] = v[:2], v[2:]
+    body.attitude[:] = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+    north, east, down = air_force(body, rotorcraft(p))
+    n, e, _ = body.velocity - body.air
+    wing = RotaryWing(fuselage_drag_ratio=0.0)
+    x, y = drag_force(wing, Panel(p["SITL_PANEL_AREA"], p["SITL_PANEL_CD"]), e, n, math.sin(yaw), math.cos(yaw))
+    assert (-east, -north, down) == (pytest.approx(x, abs=1e-9), pytest.approx(y, abs=1e-9), pytest.approx(0, abs=1e-9))
+
+
+def test_a_tilted_panel_is_pushed_along_its_normal():
+    """Falling nose down by 30 degrees: the force is along -x of the body, 1/2 rho S C_d (v sin 30)^2."""
+    p = Parameters(TABLE)
+    p.set("SITL_PANEL_AREA", 0.5)
+    p.set("SIH_KDV", 0.0)
+    body = falling()
+    body.attitude[:] = Rotation.from_euler("Y", -30, degrees=True).as_quat(scalar_first=True)
+    body.velocity[2] = 8.0
+    force = 0.5 * 1.225 * 0.5 * 2.1 * 4.0**2
+    assert np.linalg.norm(air_force(body, rotorcraft(p))) == pytest.approx(force, rel=1e-6)
+    assert rotate_back(body.attitude, *air_force(body, rotorcraft(p))) == pytest.approx((-force, 0, 0), rel=1e-6)
+
+
+def test_a_failed_motor_dies_away_with_its_lag():
+    body = falling()
+    body.motors[:] = 0.5
+    craft = SIH._replace(health=(1.0, 0.0, 1.0, 0.5))
+    for _ in range(25):
+        step_body(body, np.full(4, 0.5), craft, DT)
+    left = math.exp(-0.1 / SIH.motor_lag)
+    assert body.motors == pytest.approx([0.5, 0.5 * left, 0.5, 0.25 + 0.25 * left], rel=1e-9)
+
+
+def test_free_response_against_scipy():
+    """Tumbling with linear and quadratic drag in wind: an independent rigid body by DOP853."""
+    craft = SIH._replace(drag=0.4, drag_quadratic=0.03, inertia=(0.02, 0.03, 0.04))
+    inertia, wind = np.array(craft.inertia), np.array([3.0, -2.0, 0.5])
+    thrust = np.array([0.0, 0.0, -0.3 * 4 * craft.thrust_max])
+
+    def derivative(_, s):
+        turn = Rotation.from_quat(s[6:10])
+        v, w = s[3:6], s[10:13]
+        air = v - wind
+        force = turn.apply(thrust) - (craft.drag + craft.drag_quadratic * np.linalg.norm(air)) * air
+        spin = (-craft.angular_drag * w - np.cross(w, inertia * w)) / inertia
+        q = 0.5 * np.array([*(s[9] * w + np.cross(s[6:9], w)), -s[6:9] @ w])
+        return [*v, *(force / craft.mass + np.array([0, 0, GRAVITY])), *q, *spin]
+
+    start = np.array([0, 0, -1000.0, 4, 1, -3, 0, 0, 0, 1, 1.5, -1.0, 2.0])
+    expected = solve_ivp(derivative, (0, 2.0), start, method="DOP853", rtol=1e-10, atol=1e-10).y[:, -1]
+    body = falling()
+    body.velocity[:], body.rates[:], body.air[:] = start[3:6], start[10:13], wind
+    body.motors[:] = 0.3
+    for _ in range(20_000):
+        step_body(body, np.full(4, 0.3), craft, 0.0001)
+    assert body.position == pytest.approx(expected[:3], abs=0.005)
+    assert body.velocity == pytest.approx(expected[3:6], abs=0.005)
+    assert body.rates == pytest.approx(expected[10:13], abs=0.005)
+    error = Rotation.from_quat(body.attitude, scalar_first=True).inv() * Rotation.from_quat(expected[6:10])
+    assert math.degrees(error.magnitude()) < 0.1
 
 
 def test_motors_lag_first_order():

@@ -131,6 +131,7 @@ def test_bad_attitudes_do_not_keep_the_stream_alive(hovering, thrust):
         attitude(hovering, 0.0, 0.0, 0.0, thrust)
         hovering.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 7, (0, 0, 0, 0), 0, 0, 0, 0.5))
         hovering.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 7, (NAN,) * 4, 0, 0, 0, 0.5))
+        attitude(hovering, 0.0, 0.0, 0.0, 0.5, mask=64 | 7)  # without thrust
         hovering.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 135, (1, 0, 0, 0), 0, 0, 0, 0.5))
         hovering.advance()
     assert hovering.texts()[-1] == "SET_ATTITUDE_TARGET invalid"

@@ -115,6 +115,9 @@ def test_any_changed_byte_is_refused(signed):
     signed.fly(0.1)
     assert counted(signed, "bad signature") == 5
     assert not signed.commander.armed
+    signed.udp.sendto(bytes(raw), signed.to)
+    signed.fly(0.1)
+    assert signed.commander.armed, "a forged timestamp of the future did not make the true one old"
 
 
 def test_a_replayed_frame_is_refused(signed):
@@ -161,6 +164,16 @@ def test_a_key_for_everybody_is_refused(vehicle):
     set_up(vehicle, system=0)
     assert counted(vehicle, "key refused") == 1
     assert answered(vehicle)
+
+
+def test_a_timestamp_of_more_than_48_bits_is_refused(vehicle):
+    """It would not fit a signature."""
+    vehicle.boot()
+    set_up(vehicle, timestamp=2**48)
+    assert counted(vehicle, "key refused") == 1
+    assert answered(vehicle)
+    set_up(vehicle, timestamp=2**48 - 1)  # the last one: ours begin anew after it
+    assert int.from_bytes(vehicle.link.signing.sign(b"", 0)[1:7], "little") < 1000
 
 
 def test_a_key_is_changed_and_ended_only_by_who_has_it(signed):

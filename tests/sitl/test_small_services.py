@@ -1,5 +1,6 @@
 """Messages that clients ask for besides the streams: both personalities, over real UDP."""
 
+import itertools
 import math
 import struct
 
@@ -82,7 +83,7 @@ def test_ground_truth(hovering):
     )
     assert math.sqrt(truth.xacc**2 + truth.yacc**2 + truth.zacc**2) == pytest.approx(1000, abs=40)
     stamps = [m.time_usec for m in hovering.messages if m.get_type() == "HIL_STATE_QUATERNION"]
-    assert {b - a for a, b in zip(stamps, stamps[1:], strict=False)} == {20_000}
+    assert {b - a for a, b in itertools.pairwise(stamps)} == {20_000}
 
 
 def test_position_target_global_int(hovering):

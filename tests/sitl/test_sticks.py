@@ -41,6 +41,9 @@ def test_stick_modes_need_sticks(hovering):
 
 def test_position_mode_flies_by_heading_and_holds_when_centred(hovering):
     in_mode(hovering, 3)
+    flown(hovering, 3.0, right=0.5)
+    assert hovering.velocity[1] > 1.5
+    assert abs(hovering.velocity[0]) < 0.2
     flown(hovering, 4.0, yaw=0.4)  # turn to the right
     flown(hovering, 2.0)
     yaw = hovering.latest["ATTITUDE"].yaw
@@ -66,7 +69,7 @@ def test_takeoff_and_landing_by_sticks(vehicle):
     in_mode(vehicle, 3)
     push(vehicle, throttle=1.0)
     assert vehicle.command(ARM, 1) == TEMPORARILY_REJECTED
-    assert vehicle.texts()[-1] == "Arming denied: high throttle"
+    assert vehicle.texts()[-1] == "Arming denied: throttle above center"
     push(vehicle, throttle=0.0)
     assert vehicle.command(ARM, 1) == ACCEPTED
     flown(vehicle, 3.0, throttle=0.0)
@@ -119,11 +122,16 @@ def test_sticks_lost(action, mode):
 
 
 def test_sticks_regained(hovering):
+    """A failsafe for lost sticks lasts until the mode is changed, or, after its hold, until the sticks are moved."""
     in_mode(hovering, 3)
     hovering.fly(2)
     assert hovering.mode == LOITER
-    flown(hovering, 1.5)
+    flown(hovering, 1.5, forward=0.5)
     assert "Manual control regained" in hovering.texts()
+    assert hovering.mode == LOITER
+    flown(hovering, 4.0)
+    assert hovering.mode == RTL
+    flown(hovering, 1.5, forward=0.5)
     assert hovering.mode == POSCTL
 
 

@@ -213,6 +213,7 @@ def test_a_bad_item_ends_the_upload_and_keeps_the_old_plan(item, verdict):
         ([(CIRCLE_INCLUSION, 50.0)], Verdict.ACCEPTED),
         ([(POLYGON_INCLUSION, 3.0)] * 3 + [(CIRCLE_INCLUSION, 5.0)], Verdict.ACCEPTED),
         ([(POLYGON_INCLUSION, 4.0)] * 3, Verdict.INVALID),
+        ([(POLYGON_INCLUSION, 3.0)] * 2 + [(POLYGON_INCLUSION, 4.0)], Verdict.INVALID),
         ([(POLYGON_INCLUSION, 3.0)] * 2 + [(CIRCLE_INCLUSION, 5.0)], Verdict.INVALID),
         ([(POLYGON_INCLUSION, 2.0)] * 2, Verdict.INVALID_PARAM1),
         ([(POLYGON_INCLUSION, NAN)] * 3, Verdict.INVALID_PARAM1),
