@@ -78,6 +78,11 @@ class SlotProfile:
     limited_by: tuple[str, ...] = ()
     """What kept the profile from the commanded displacement: `speed`, `climb`, `acceleration` (or the jerk)."""
 
+    @property
+    def duration_s(self) -> float:
+        """Until the velocity no longer changes."""
+        return self.ramp_up_s + self.hold_s + self.ramp_down_s
+
     def at(self, time_s: ArrayLike) -> Reference:
         """The reference at times [s] since the profile's start; `time_s` of shape (...) gives vectors (..., 3)."""
         t = np.maximum(np.asarray(time_s, dtype=float), 0.0)[..., None]
@@ -335,7 +340,7 @@ def _fast(track: SlotProfile, limits: SpeedLimits) -> bool:
     triangle of its ends and the point where their tangents meet.
     """
     step_s = track.ramp_up_s / PIECES
-    at = track.at(np.append(np.arange(PIECES + 1) * step_s, track.ramp_up_s + track.hold_s + track.ramp_down_s))
+    at = track.at(np.append(np.arange(PIECES + 1) * step_s, track.duration_s))
     v = np.concatenate([at.velocity, at.velocity[:-2] + at.acceleration[:-2] * (step_s / 2)])
     horizontal = np.hypot(v[:, 0], v[:, 1]).max()
     return bool(

@@ -1,57 +1,19 @@
 """What the bridge must know before it flies: validated, frozen, complete. `mission/` fills it from the mission file."""
 
 import math
+from functools import cached_property
 from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+import numpy as np
+from pydantic import Field, field_validator, model_validator
 
-Vec3 = tuple[float, float, float]
+from airframe.slot_profile import Agility, SpeedLimits, Vector
+from autopilot_bridge.energy import Endurance
+from autopilot_bridge.fence import Box, Fence, Strict, holds_box
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Span = tuple[Finite, Finite]
-
-
-class Strict(BaseModel):
-    """Base of all parts: frozen, unknown fields refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Box(Strict):
-    """Axis-aligned volume in ENU about home [m]; each span is (min, max)."""
-
-    x: Span
-    y: Span
-    z: Span
-
-    @field_validator("x", "y", "z")
-    @classmethod
-    def _ordered(cls, span: Span) -> Span:
-        if span[0] >= span[1]:
-            raise ValueError(f"{span}: the minimum must be below the maximum")
-        return span
-
-    @property
-    def spans(self) -> tuple[Span, Span, Span]:
-        return self.x, self.y, self.z
-
-    def contains(self, point: Vec3, margin: float = 0.0) -> bool:
-        """Whether `point` lies at least `margin` [m] inside every face."""
-        return all(low + margin <= c <= high - margin for c, (low, high) in zip(point, self.spans, strict=True))
-
-    def grown(self, sideways: float, vertically: float) -> "Box":
-        """The box with its faces moved outward [m]."""
-        return Box(
-            x=(self.x[0] - sideways, self.x[1] + sideways),
-            y=(self.y[0] - sideways, self.y[1] + sideways),
-            z=(self.z[0] - vertically, self.z[1] + vertically),
-        )
-
-    def hull(self, point: Vec3) -> "Box":
-        """The smallest box that holds this one and `point`."""
-        x, y, z = ((min(low, c), max(high, c)) for c, (low, high) in zip(point, self.spans, strict=True))
-        return Box(x=x, y=y, z=z)
 
 
 class Limits(Strict):
@@ -61,14 +23,52 @@ class Limits(Strict):
     up_mps: Positive = 3.0
     down_mps: Positive = 1.5
     acceleration_mps2: Positive = 3.0
+    """Of a horizontal change of velocity, and of every other one where there is no vertical limit of its own."""
+    vertical_acceleration_mps2: Positive | None = None
+    """Of a vertical change; slanting ones lie on the ellipsoid between the two."""
+    jerk_mps3: Positive | None = None
+    """Of a horizontal change of acceleration, vertically in proportion; None: none, accelerations may jump."""
 
-    def within(self, horizontal_mps: float, up_mps: float, down_mps: float) -> "Limits":
-        """These limits, tightened to the autopilot's."""
+    @property
+    def vertical_mps2(self) -> float:
+        """The vertical acceleration limit."""
+        return self.vertical_acceleration_mps2 or self.acceleration_mps2
+
+    @property
+    def speeds(self) -> SpeedLimits:
+        return SpeedLimits(self.horizontal_mps, self.up_mps, self.down_mps)
+
+    @property
+    def agility(self) -> Agility:
+        jerk = math.inf if self.jerk_mps3 is None else self.jerk_mps3
+        return Agility(self.acceleration_mps2, jerk, self.vertical_mps2 / self.acceleration_mps2)
+
+    def time_to_change(self, velocity: Vector) -> Vector:
+        """Time [s] that a straight change by `velocity` (..., 3) [m/s] takes without a jerk limit; shape (...)."""
+        level = (velocity[..., 0] ** 2 + velocity[..., 1] ** 2) / self.acceleration_mps2**2
+        time_s: Vector = np.sqrt(level + (velocity[..., 2] / self.vertical_mps2) ** 2)
+        return time_s
+
+    def within(
+        self,
+        horizontal_mps: float = math.inf,
+        up_mps: float = math.inf,
+        down_mps: float = math.inf,
+        acceleration_mps2: float = math.inf,
+        vertical_acceleration_mps2: float = math.inf,
+        jerk_mps3: float = math.inf,
+    ) -> "Limits":
+        """These limits, tightened to the autopilot's; infinity where it has none."""
+        vertical = min(self.vertical_mps2, vertical_acceleration_mps2)
+        jerk = min(self.jerk_mps3 or math.inf, jerk_mps3)
+        level = min(self.acceleration_mps2, acceleration_mps2)
         return Limits(
             horizontal_mps=min(self.horizontal_mps, horizontal_mps),
             up_mps=min(self.up_mps, up_mps),
             down_mps=min(self.down_mps, down_mps),
-            acceleration_mps2=self.acceleration_mps2,
+            acceleration_mps2=level,
+            vertical_acceleration_mps2=None if vertical == level else vertical,
+            jerk_mps3=None if math.isinf(jerk) else jerk,
         )
 
 
@@ -109,10 +109,20 @@ class BridgeConfig(Strict):
     start_position_enu: tuple[Finite, Finite, Finite]
     panel_heading_rad: Finite = 0.0
     """Yaw held for the whole flight: the ENU heading of the panel's normal (0 = east)."""
+    face_enu: tuple[Finite, Finite] | None = None
+    """A place (east, north) that the panel's normal points at instead."""
+    tracking: Literal["position", "none"] = "position"
+    """How slots are flown: closed on the reference's position, or its velocity alone, open loop (for comparison)."""
     box: Box
     """The scenario's volume: plans stay inside and can stop inside."""
-    fence: Box | None = None
+    fence: Fence | None = None
     """What the vehicle must never leave in the slots; None: the box and 10 m sideways, 5 m up and down."""
+    home_distance_m: Positive | None = None
+    """How far from home the vehicle may be, in plan; None: as far as the fence lets it."""
+    separation_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    """Distance in plan that other vehicles are never to come nearer than."""
+    endurance: Endurance | None = None
+    """Pack and power model: motion that would make the return impossible is clipped; used up: return. None: neither."""
     limits: Limits = Limits()
     action_deadline_fraction: Annotated[float, Field(gt=0, le=1)] = 0.25
     action_wait_wall_s: Annotated[float, Field(ge=0, le=600)] = 5.0
@@ -125,7 +135,7 @@ class BridgeConfig(Strict):
     takeoff_altitude_m: Annotated[float, Field(ge=1, le=100)] = 5.0
     setpoint_hz: Literal[20, 40, 50] = 20
     """Setpoints per second of vehicle time; the bridge steps at this rate."""
-    parameters: dict[str, float | int] = {}
+    parameters: dict[str, float | int] = Field(default={})
     """Autopilot parameters to set at preflight."""
     autostart: bool = False
     """Fly without waiting for the `start` command."""
@@ -148,22 +158,34 @@ class BridgeConfig(Strict):
         if not self.box.contains(self.start_position_enu):
             raise ValueError(f"start_position_enu: {self.start_position_enu} is outside the box {self.box.spans}")
         if self.fence is not None:
-            for axis, (low, high), (fence_low, fence_high) in zip("xyz", self.box.spans, self.fence.spans, strict=True):
-                if fence_low > low or fence_high < high:
-                    raise ValueError(
-                        f"fence.{axis}: ({fence_low:g}, {fence_high:g}) must hold the box's ({low:g}, {high:g})"
-                    )
+            self._fence_fits(self.fence)
+        furthest = float(np.hypot(*self.box.corners.T).max())
+        if self.home_distance_m is not None and self.home_distance_m < furthest:
+            raise ValueError(
+                f"home_distance_m: {self.home_distance_m:g} is less than the {furthest:.1f} to the box's corners"
+            )
         return self
 
-    @property
-    def slot_fence(self) -> Box:
+    def _fence_fits(self, fence: Fence) -> None:
+        """Raises ValueError."""
+        wrong = holds_box(fence, self.box)
+        if wrong:
+            raise ValueError(f"fence{wrong}")
+        start = np.array(self.start_position_enu)[:2]
+        if not isinstance(fence, Box) and not fence.holds(np.array([np.zeros(2), start])):
+            raise ValueError(
+                f"fence: must hold the straight way from home (0, 0) to the start ({start[0]:g}, {start[1]:g})"
+            )
+
+    @cached_property
+    def slot_fence(self) -> Fence:
         """What the vehicle must not leave while slots run."""
         return self.fence if self.fence is not None else self.box.grown(sideways=10.0, vertically=5.0)
 
-    @property
-    def flight_fence(self) -> Box:
+    @cached_property
+    def flight_fence(self) -> Fence:
         """What it must not leave between takeoff and slot 0: the slots' fence, reaching down to home."""
-        return self.slot_fence.hull((-10.0, -10.0, -1.0)).hull((10.0, 10.0, 0.0))
+        return self.slot_fence.down_to_home()
 
     @property
     def tick_ms(self) -> int:

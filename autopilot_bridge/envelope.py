@@ -1,28 +1,58 @@
 """The envelope: nothing reaches the autopilot that it does not let through, whatever planned or asked for it.
 
 Every setpoint passes, in this order: finite; speed limits; acceleration (no command asks for a change of velocity that
-takes longer than `RESPONSE_S` at the acceleration limit); fence and altitude band.
+takes longer than `RESPONSE_S` at the acceleration limit); then whatever the vehicle must stay inside of: fence and
+altitude band, distance to home, the energy to return, its side of the gap to every other vehicle.
 
-The fence is kept by looking one step ahead with the vehicle's stop as a backup. A state is *safe* when the vehicle,
-reacting after `reaction_s` and then braking straight at the acceleration limit, stops inside. A command is let through
-when the state that it leads to in one step is safe. Else it is blended with zero, first along the axes in the way,
-so that the vehicle slides along the fence, then as a whole. Zero, which is braking, always leads from a safe state to
-a safe one: the fence is convex, and braking only moves the stopping point back.
+These are kept by looking one step ahead with the vehicle's stop as a backup. A state is *safe* when the vehicle,
+reacting after `reaction_s` and then braking straight at the acceleration limit, stops inside, and its whole way there
+lies inside. A command is let through when the state that it leads to in one step is safe, and so is that step's way.
+Else what is in the way is taken out of it, the part against the wall first, so that the vehicle slides along, then as
+little of the whole as is needed. Zero, which is braking, always leads from a safe state to a safe one: its way, and
+the stop after it, are parts of the stop that was safe before, and a shape that holds a line, convex or not, holds its
+parts.
+
+A step's way bends: while the velocity changes from v to v' the vehicle flies a parabola from p to q, inside the
+triangle of p, q and p + v t/2, where its tangents meet. All three sides are looked at. A polygon that holds them holds
+the whole triangle, since it has no holes.
+
+Vehicles differ in how they share out acceleration between level and vertical: some turn the velocity straight to the
+command, some do both axes at once and are there sooner. Both are looked at; stops are the straight one's, the longer.
+
+A vehicle that is outside already, or cannot stop inside any more, may do what brings its stop back.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airframe.slot_profile import Vector
-from airframe.stopping import stop_distance
-from autopilot_bridge.config import Box, Limits
+from autopilot_bridge.config import Limits
+from autopilot_bridge.energy import Endurance
+from autopilot_bridge.fence import TOUCH_M, Cylinder, Fence, Plan
+from autopilot_bridge.separation import Track, own_side
 
 RESPONSE_S = 1.5
 """A command may be ahead of the measured velocity by this long at the acceleration limit."""
-BISECTIONS = 20
+BISECTIONS = 14
+HOME = (0.0, 0.0)
+WALLS = 3
+"""A command slides along so many walls at most before all of it is shortened."""
+
+
+class Bound(Protocol):
+    """What in plan must not be left."""
+
+    def holds(self, path: Plan) -> bool:
+        """Whether all of a polyline (n, 2) is inside."""
+
+    def beyond_m(self, path: Plan) -> float:
+        """How far its furthest vertex is outside [m]."""
+
+    def wall(self, path: Plan) -> Plan:
+        """Outward unit normal of what is in the way of it, (2,)."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +68,39 @@ class Envelope:
     """The last gate before the autopilot; `transmit(velocity_enu, yaw_enu)` puts a setpoint on the wire."""
 
     limits: Limits
-    fence: Box
+    fence: Fence
     reaction_s: float
     step_s: float
     transmit: Callable[[Vector, float], None]
+    home_distance_m: float | None = None
+    endurance: Endurance | None = None
+    separation_m: float = 0.0
 
-    def send(self, wanted: Vector, yaw: float, position: Vector, velocity: Vector) -> Sent:
-        """Clip `wanted` [m/s, ENU] for a vehicle at `position`, `velocity`; transmit it; say what was sent and why."""
-        sent = self.clip(wanted, position, velocity)
+    def send(
+        self,
+        wanted: Vector,
+        yaw: float,
+        position: Vector,
+        velocity: Vector,
+        others: Sequence[Track] = (),
+        energy_j: float | None = None,
+    ) -> Sent:
+        """Clip `wanted` [m/s, ENU] for a vehicle at `position`, `velocity`; transmit it; say what was sent and why.
+
+        `others` are the vehicles to keep `separation_m` from; `energy_j` is left in the pack, None: unknown.
+        """
+        sent = self.clip(wanted, position, velocity, others, energy_j)
         self.transmit(sent.velocity, yaw)
         return sent
 
-    def clip(self, wanted: Vector, position: Vector, velocity: Vector) -> Sent:
+    def clip(
+        self,
+        wanted: Vector,
+        position: Vector,
+        velocity: Vector,
+        others: Sequence[Track] = (),
+        energy_j: float | None = None,
+    ) -> Sent:
         """What `send` would transmit."""
         if not (np.isfinite(wanted).all() and np.isfinite(position).all() and np.isfinite(velocity).all()):
             return Sent(np.zeros(3), ("not finite",))
@@ -60,20 +111,30 @@ class Envelope:
             reasons.append("speed")
 
         change = slower - velocity
-        size, most = float(np.linalg.norm(change)), self.limits.acceleration_mps2 * RESPONSE_S
+        size, most = self.limits.time_to_change(change), RESPONSE_S
         gentler = slower if size <= most else self._limit_speed(velocity + change * (most / size))
         if gentler is not slower:
             reasons.append("acceleration")
 
-        def in_the_way(command: Vector) -> NDArray[np.bool_]:
-            after = ideal_step(position, velocity, command, self.limits.acceleration_mps2, self.step_s)
-            return outside(self.fence, stopping_point(*after, self.limits.acceleration_mps2, self.reaction_s))
+        step = _Step(self, position, velocity, others, energy_j)
+        safe, blocked = step.nearest_safe(gentler)
+        return Sent(safe, () if np.array_equal(safe, wanted) else (*reasons, *blocked))
 
-        safe = nearest_inside(gentler, np.zeros(3), in_the_way)
-        if safe is not gentler:
-            blocked = in_the_way(gentler)
-            reasons += ["fence"] * bool(blocked[:2].any()) + ["altitude"] * bool(blocked[2])
-        return Sent(safe, () if np.array_equal(safe, wanted) else tuple(reasons))
+    def stop(self, position: Vector, velocity: Vector) -> Vector:
+        """Where a vehicle comes to rest that brakes straight after the reaction; shapes (..., 3)."""
+        return stopping_point(position, velocity, self.limits, self.reaction_s)
+
+    def bounds(self, position: Vector, velocity: Vector, others: Sequence[Track]) -> Iterator[tuple[str, Bound]]:
+        """What the vehicle must stay inside of in plan, and what it is called."""
+        yield "fence", self.fence
+        if self.home_distance_m is not None:
+            yield "home distance", Cylinder(centre=HOME, radius=self.home_distance_m, altitude=self.fence.altitude)
+        if self.separation_m > 0:
+            own = np.array([position, self.stop(position, velocity)])[:, :2]
+            for other in others:
+                theirs = np.array([other.position, self.stop(other.position, other.velocity)])[:, :2]
+                apart_m = self.separation_m + 2 * other.age_s * self.limits.horizontal_mps
+                yield "separation", own_side(own, theirs, apart_m)
 
     def _limit_speed(self, velocity: Vector) -> Vector:
         horizontal = float(np.hypot(velocity[0], velocity[1]))
@@ -84,50 +145,111 @@ class Envelope:
         return np.array([velocity[0] * shorter, velocity[1] * shorter, vertical])
 
 
-def stopping_point(position: Vector, velocity: Vector, deceleration: float, reaction_s: float = 0.0) -> Vector:
-    """Where a vehicle comes to rest that brakes straight after `reaction_s`; shapes (..., 3)."""
-    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
-    point: Vector = position + velocity * stop_distance(speed, deceleration, reaction_s) / np.maximum(speed, 1e-9)
-    return point
+class _Step:
+    """One step ahead of a vehicle."""
 
+    def __init__(
+        self, envelope: Envelope, position: Vector, velocity: Vector, others: Sequence[Track], energy_j: float | None
+    ) -> None:
+        self._envelope, self._position, self._velocity, self._energy_j = envelope, position, velocity, energy_j
+        self._bounds = tuple(envelope.bounds(position, velocity, others))
 
-def outside(box: Box, points: Vector) -> NDArray[np.bool_]:
-    """Per axis, whether any of the `points` (..., 3) is outside; shape (3,)."""
-    low, high = np.array(box.spans).T
-    flat = points.reshape(-1, 3)
-    return np.asarray(((flat < low - 1e-6) | (flat > high + 1e-6)).any(axis=0))
-
-
-def nearest_inside(wanted: Vector, fallback: Vector, in_the_way: Callable[[Vector], NDArray[np.bool_]]) -> Vector:
-    """`wanted` itself when nothing is in the way; else blended with `fallback`, as little as needed.
-
-    Only along the axes in the way if that helps, else along all. `in_the_way(candidate)` tells per axis. When even
-    `fallback` is blocked it is returned all the same: there is nothing better.
-    """
-    blocked = in_the_way(wanted)
-    if not blocked.any():
-        return wanted
-    for target in (np.where(blocked, fallback, wanted), fallback):
-        if in_the_way(target).any():
-            continue
+    def nearest_safe(self, wanted: Vector) -> tuple[Vector, tuple[str, ...]]:
+        """`wanted` itself when it is safe; else what is nearest to it of what is tried, and what was in the way."""
+        target, blocked = wanted, self._in_the_way(wanted)
+        if not blocked:
+            return wanted, ()
+        told = dict.fromkeys(blocked)
+        for _ in range(WALLS):
+            if blocked:
+                target = self._without(target, blocked)
+                blocked = self._in_the_way(target)
+                told |= dict.fromkeys(blocked)
+        if blocked:
+            target = np.zeros(3)
+            if self._in_the_way(target):
+                return target, tuple(told)
         good, bad = 0.0, 1.0
         for _ in range(BISECTIONS):
             share = (good + bad) / 2
-            if in_the_way(target + share * (wanted - target)).any():
+            if self._in_the_way(target + share * (wanted - target)):
                 bad = share
             else:
                 good = share
-        return target + good * (wanted - target)
-    return fallback
+        return target + good * (wanted - target), tuple(told)
+
+    def _in_the_way(self, command: Vector) -> dict[str, Plan]:
+        """What does not let `command` through: its name, and the wall's normal (zero: not in plan)."""
+        envelope = self._envelope
+        blocked: dict[str, Plan] = {}
+        low, high = envelope.fence.altitude
+        ways = [_way(self._position, self._velocity, command, envelope, straight) for straight in (True, False)]
+        for way, stop in ways:
+            path = way[:, :2]
+            for name, bound in self._bounds:
+                if name not in blocked and not self._kept(bound, path):
+                    blocked[name] = bound.wall(path[-3:])
+            heights = way[:, 2]
+            over = max(low - heights.min(), heights.max() - high)
+            here = max(low - self._position[2], self._position[2] - high)
+            if over > TOUCH_M and (here <= TOUCH_M or max(low - stop[2], stop[2] - high) > here):
+                blocked["altitude"] = np.zeros(2)
+            if envelope.endurance is not None and self._energy_j is not None and self._spends_too_much(stop):
+                blocked["energy"] = stop[:2] / max(float(np.hypot(stop[0], stop[1])), 1e-9)
+        return blocked
+
+    def _kept(self, bound: Bound, path: Plan) -> bool:
+        if bound.holds(path):
+            return True
+        here = bound.beyond_m(path[1:2])
+        return here > TOUCH_M and bound.beyond_m(path[-1:]) <= here  # on its way back
+
+    def _spends_too_much(self, stop: Vector) -> bool:
+        """Whether the way home from `stop` costs more than is left, and more than from here."""
+        endurance, envelope = self._envelope.endurance, self._envelope
+        assert endurance is not None
+        needed = endurance.needed_j(stop)
+        if self._energy_j is None or needed <= self._energy_j:
+            return False
+        return needed > endurance.needed_j(envelope.stop(self._position, self._velocity))
+
+    def _without(self, command: Vector, blocked: dict[str, Plan]) -> Vector:
+        """`command` less its part against each wall in its way."""
+        slid = command.copy()
+        for name, outward in blocked.items():
+            slid[:2] -= max(0.0, float(slid[:2] @ outward)) * outward
+            if name == "altitude" or (name == "energy" and slid[2] > 0):
+                slid[2] = 0.0
+        return slid
 
 
-def ideal_step(
-    position: Vector, velocity: Vector, command: Vector, acceleration: float, step_s: float
+def stopping_point(position: Vector, velocity: Vector, limits: Limits, reaction_s: float = 0.0) -> Vector:
+    """Where a vehicle comes to rest that brakes straight after `reaction_s`; shapes (..., 3)."""
+    duration = limits.time_to_change(velocity)
+    point: Vector = position + velocity * (reaction_s + np.asarray(duration)[..., None] / 2)
+    return point
+
+
+def _way(
+    position: Vector, velocity: Vector, command: Vector, envelope: Envelope, straight: bool
 ) -> tuple[Vector, Vector]:
-    """(position, velocity) after `step_s` of a vehicle whose velocity goes straight to `command` at `acceleration`."""
+    """The corners of one step's way and the stop after it: (q, p, tangents' corner, q, p', stop), and stop again.
+
+    `q` is where the velocity has reached `command`, or the step's end if that comes first. `straight`: the velocity
+    goes straight to the command; else level and vertical parts each as fast as they can.
+    """
+    limits, step_s = envelope.limits, envelope.step_s
     change = command - velocity
-    size = float(np.linalg.norm(change))
-    ramp_s = min(step_s, size / acceleration)
-    gained = change * (acceleration * ramp_s / size) if size > 0 else np.zeros(3)
+    if straight:
+        needed_s = np.full(3, float(limits.time_to_change(change)))
+    else:
+        level_s = float(np.hypot(change[0], change[1])) / limits.acceleration_mps2
+        needed_s = np.array([level_s, level_s, abs(change[2]) / limits.vertical_mps2])
+    ramp_s = np.minimum(needed_s, step_s)
+    gained = change * np.where(needed_s > 0, ramp_s / np.maximum(needed_s, 1e-12), 0.0)
     reached = velocity + gained
-    return position + velocity * ramp_s + gained * (ramp_s / 2) + reached * (step_s - ramp_s), reached
+    corner = position + velocity * (ramp_s / 2)
+    turned = position + (velocity + reached) * (ramp_s / 2)
+    after = turned + reached * (step_s - ramp_s)
+    stop = envelope.stop(after, reached)
+    return np.array([turned, position, corner, turned, after, stop]), stop

@@ -16,20 +16,22 @@ import contextlib
 import queue
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from airframe.slot_profile import Reference, SlotProfile, Vector, brake
 from autopilot_bridge.clock import Clock
-from autopilot_bridge.config import Box, BridgeConfig, Limits
+from autopilot_bridge.config import BridgeConfig, Limits
 from autopilot_bridge.deadman import SILENCE_WALL_S, Rung, Silence
 from autopilot_bridge.dialects import Dialect
 from autopilot_bridge.envelope import Envelope
+from autopilot_bridge.fence import Fence, outside_m
 from autopilot_bridge.ground import Ground
 from autopilot_bridge.link import LinkError
+from autopilot_bridge.separation import Track
 from autopilot_bridge.slots import SAMPLE_S, Slots, vec3
-from autopilot_bridge.tracker import track
+from autopilot_bridge.tracker import follow, heading_to, track
 from autopilot_bridge.transit import Transit
 from autopilot_bridge.vehicle import Mode, SilentError, Vehicle, VehicleError
 from bus import messages as m
@@ -49,7 +51,7 @@ TRACKING_HEADROOM = 1.25
 """A vehicle that is behind its plan may be this much faster than plans are, if the autopilot lets it."""
 PEERS = ("agent", "rf")
 """Nodes without which no action comes."""
-TELLING = ("fence", "altitude", "not finite")
+TELLING = ("fence", "altitude", "home distance", "energy", "separation", "not finite")
 """Clips of setpoints that change what becomes of an action; the others only slow the tracking."""
 
 
@@ -75,8 +77,11 @@ class Flight:
         ground: Ground,
         clock: Clock,
         make_vehicle: Callable[[Callable[[], None]], Vehicle],
+        others: Callable[[], Sequence[Track]] = tuple,
     ) -> None:
+        """`others()` tells where the vehicles are that this one must keep apart from."""
         self._config, self._dialect, self._ground, self._clock = config, dialect, ground, clock
+        self._others = others
         self._vehicle = make_vehicle(self._step)
         self._phase = "connecting"
         self._limits: Limits = config.limits
@@ -86,6 +91,8 @@ class Flight:
         self._started = config.autostart
         self._held = False
         """No actions are flown: by command, or because somebody else flies."""
+        self._yaw = config.panel_heading_rad
+        """The last heading asked for [rad, ENU]."""
         self._guide: Callable[[float], Reference] | None = None
         """Vehicle time -> what to track; None: no setpoints at all."""
         self._slots: Slots | None = None
@@ -149,11 +156,9 @@ class Flight:
         for name, value in self._config.parameters.items():
             vehicle.set_parameter(name, value)
             self._tell("parameter", f"{name} set to {value:g}")
-        horizontal_mps = vehicle.parameter(dialect.horizontal_limit)
-        self._limits = self._config.limits.within(
-            horizontal_mps, vehicle.parameter(dialect.up_limit), vehicle.parameter(dialect.down_limit)
-        )
-        headroom_mps = min(self._limits.horizontal_mps * TRACKING_HEADROOM, horizontal_mps)
+        theirs = {name: vehicle.parameter(limit) * unit for name, (limit, unit) in dialect.limits.items()}
+        self._limits = self._config.limits.within(**theirs)
+        headroom_mps = min(self._limits.horizontal_mps * TRACKING_HEADROOM, theirs["horizontal_mps"])
         self._tracking_limits = self._limits.model_copy(update={"horizontal_mps": headroom_mps})
         if self._limits != self._config.limits:
             self._tell("limits", f"planning inside the autopilot's limits: {self._limits}")
@@ -210,7 +215,7 @@ class Flight:
         position, velocity = self._here()
         if self._slots is not None:
             self._slots.restart(self._clock.now, position, velocity)
-        self._follow(brake(position, velocity, self._limits.acceleration_mps2))
+        self._follow(brake(position, velocity, self._limits.agility))
         self._expected = {self._vehicle.telemetry.mode, Mode.OFFBOARD}
         until = self._clock.now + self._dialect.stream_before_offboard_s
         while self._clock.now < until:
@@ -239,7 +244,7 @@ class Flight:
                     raise VehicleError(f"start position {vec3(goal)} not reached: still at {_rounded(position)}")
                 self._step()
             self._enter("holding")
-            self._follow(brake(*self._here(), self._limits.acceleration_mps2))
+            self._follow(brake(*self._here(), self._limits.agility))
             while self._held:
                 self._step()
 
@@ -369,9 +374,18 @@ class Flight:
             raise _Yielded
         if self._guide is None:
             return
-        position, _ = self._here()
-        if not self._fence.contains(vec3(position), margin=-BREACH_M):
+        position, velocity = self._here()
+        if outside_m(self._fence, position) > BREACH_M:
             raise _End(Mode.RETURN, FAILSAFE, f"outside the fence at {_rounded(position)}")
+        if self._config.endurance is not None:
+            left_j = self._config.endurance.left_j(telemetry.battery_remaining)
+            needed_j = self._config.endurance.needed_j(self._envelope.stop(position, velocity))
+            if left_j < needed_j:
+                raise _End(
+                    Mode.RETURN,
+                    FAILSAFE,
+                    f"the way home needs {needed_j / 1e3:.1f} kJ, the battery holds {max(left_j, 0.0) / 1e3:.1f} kJ",
+                )
         if self._slots is not None and self._slots.deadman.rung(self._clock.now) is Rung.RETURN:
             raise _End(Mode.RETURN, FAILSAFE, f"no good action for {self._config.grace_s:g} s")
 
@@ -425,15 +439,14 @@ class Flight:
         if self._guide is None:
             return
         position, velocity = self._here()
-        envelope = Envelope(
-            self._tracking_limits,
-            self._fence,
-            self._dialect.reaction_s,
-            self._config.tick_ms / 1000,
-            self._vehicle.send_velocity,
-        )
-        wanted = track(self._guide(self._clock.now), position, self._dialect.lead_s)
-        sent = envelope.send(wanted, self._config.panel_heading_rad, position, velocity)
+        reference = self._guide(self._clock.now)
+        if self._config.tracking == "none" and self._slots is not None:
+            wanted = follow(reference)
+        else:
+            wanted = track(reference, position, self._dialect.lead_s)
+        endurance, battery = self._config.endurance, self._vehicle.telemetry.battery_remaining
+        energy_j = None if endurance is None else endurance.left_j(battery)
+        sent = self._envelope.send(wanted, self._heading(position), position, velocity, self._others(), energy_j)
         self._counters["setpoints"] += 1
         for reason in sent.reasons:
             self._counters[f"setpoints_clipped_{reason.replace(' ', '_')}"] += 1
@@ -468,7 +481,7 @@ class Flight:
                 return f"nothing to resume in phase {phase}"
             case "resume":
                 position = self._vehicle.telemetry.position_enu
-                if position is None or not self._fence.contains(vec3(position)):
+                if position is None or outside_m(self._fence, position) > 0:
                     return "the vehicle is outside the fence"
         return ""
 
@@ -523,7 +536,26 @@ class Flight:
         self._guide = lambda time_s: way.at(time_s - since_s)
 
     @property
-    def _fence(self) -> Box:
+    def _envelope(self) -> Envelope:
+        return Envelope(
+            self._tracking_limits,
+            self._fence,
+            self._dialect.reaction_s,
+            self._config.tick_ms / 1000,
+            self._vehicle.send_velocity,
+            self._config.home_distance_m,
+            self._config.endurance,
+            self._config.separation_m,
+        )
+
+    def _heading(self, position: Vector) -> float:
+        """Yaw to fly [rad, ENU]."""
+        if self._config.face_enu is not None:
+            self._yaw = heading_to(self._config.face_enu, position, self._yaw)
+        return self._yaw
+
+    @property
+    def _fence(self) -> Fence:
         return self._config.flight_fence if self._slots is None else self._config.slot_fence
 
 

@@ -7,10 +7,10 @@ t_k = t_0 + k * slot_s to t_{k+1}.
 import numpy as np
 
 from airframe.slot_profile import Reference, Vector, brake
-from autopilot_bridge.config import BridgeConfig, Limits, Vec3
+from autopilot_bridge.config import BridgeConfig, Limits
 from autopilot_bridge.deadman import Deadman
 from autopilot_bridge.plan import plan_slot
-from bus.messages import Action, FlownSlot, SlotOpened, SlotOutcome, TrackSample
+from bus.messages import Action, FlownSlot, SlotOpened, SlotOutcome, TrackSample, Vec3
 
 SAMPLE_S = 0.1
 """The track's sampling."""
@@ -30,7 +30,7 @@ class Slots:
         """What became of the open slot's action; None while it is awaited."""
         self.deadman = Deadman(config.deadline_s, config.grace_s, start_s)
         self._config, self._limits, self._start_s = config, limits, start_s
-        self._profile, self._since_s = brake(position, np.zeros(3), limits.acceleration_mps2), start_s
+        self._profile, self._since_s = brake(position, np.zeros(3), limits.agility), start_s
         self._opening: Reference = self._profile.at(0.0)
         self._opened_at: Vector = position
         self._reasons: list[str] = []
@@ -116,6 +116,7 @@ class Slots:
             self._limits,
             self._config.box,
             self._config.deadline_s,
+            self._opening.acceleration,
         )
         self._profile, self._since_s = planned.profile, self.opening_s
         self._commanded, self._reasons = wanted, list(planned.reasons)
@@ -125,11 +126,11 @@ class Slots:
         """Begin the planned hold at `time_s`: the open slot has no action to fly."""
         self.outcome, self._reasons = outcome, [reason]
         now = self.reference(time_s)
-        self._profile, self._since_s = brake(now.position, now.velocity, self._limits.acceleration_mps2), time_s
+        self._profile, self._since_s = brake(now.position, now.velocity, self._limits.agility, now.acceleration), time_s
 
     def restart(self, time_s: float, position: Vector, velocity: Vector) -> None:
         """Somebody else flew: the reference goes on, braking, from where the vehicle really is."""
-        self._profile, self._since_s = brake(position, velocity, self._limits.acceleration_mps2), time_s
+        self._profile, self._since_s = brake(position, velocity, self._limits.agility), time_s
 
     def clipped(self, reason: str) -> None:
         """The envelope changed a setpoint of the open slot."""

@@ -1,4 +1,4 @@
-"""The tracking law: PX4's own position loop, closed by the bridge so that only velocity is ever sent.
+"""The tracking law: PX4's own position loop, closed by the bridge so that only velocity and yaw are ever sent.
 
     v = v_ref + lead * a_ref + K (p_ref - p),    K = 0.95 /s (PX4 MPC_XY_P)
 
@@ -6,15 +6,30 @@
 to check, one type mask on every autopilot, and a stream that stops really is a vehicle that stops.
 """
 
+import math
+
 import numpy as np
 
 from airframe.slot_profile import Reference, Vector
 
 POSITION_GAIN = 0.95
 """[1/s]"""
+NEAR_M = 2.0
+"""A place this near below has no heading worth turning to."""
 
 
 def track(reference: Reference, position: Vector, lead_s: tuple[float, float, float]) -> Vector:
     """Velocity setpoint [m/s] for a vehicle at `position` [m]; all in ENU, shape (3,)."""
     error = reference.position - position
     return reference.velocity + np.array(lead_s) * reference.acceleration + POSITION_GAIN * error
+
+
+def follow(reference: Reference) -> Vector:
+    """Velocity setpoint [m/s] of the open loop, for comparison: what is lost on the way is never made up for."""
+    return reference.velocity
+
+
+def heading_to(place: tuple[float, float], position: Vector, before: float) -> float:
+    """Yaw [rad, ENU] from `position` towards a `place` (east, north); `before` when it is as good as below."""
+    east, north = place[0] - float(position[0]), place[1] - float(position[1])
+    return math.atan2(north, east) if math.hypot(east, north) > NEAR_M else before

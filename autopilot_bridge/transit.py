@@ -18,8 +18,10 @@ class Transit:
 
     @property
     def duration_s(self) -> float:
+        if self._length == 0:
+            return 0.0
         speed, ramp_s = self._cruise()
-        return ramp_s + self._length / speed if self._length > 0 else 0.0
+        return ramp_s + self._length / speed
 
     def at(self, time_s: float) -> Reference:
         """The reference `time_s` after the departure; at rest in `goal` after `duration_s`."""
@@ -44,11 +46,12 @@ class Transit:
 
     def _cruise(self) -> tuple[float, float]:
         """Cruising speed [m/s] and the time to reach it [s]; a short way never gets beyond half of it."""
-        east, north, up = np.abs(self.goal - self.start) / max(self._length, 1e-9)
+        east, north, up = np.abs(self.goal - self.start) / self._length
         climbing = self.goal[2] > self.start[2]
-        speed = (self._length * self.limits.acceleration_mps2) ** 0.5
+        acceleration = 1 / float(self.limits.time_to_change((self.goal - self.start) / self._length))
+        speed = (self._length * acceleration) ** 0.5
         if (horizontal := float(np.hypot(east, north))) > 1e-9:
             speed = min(speed, self.limits.horizontal_mps / horizontal)
         if up > 1e-9:
             speed = min(speed, (self.limits.up_mps if climbing else self.limits.down_mps) / up)
-        return speed, speed / self.limits.acceleration_mps2
+        return speed, speed / acceleration

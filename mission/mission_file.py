@@ -10,7 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from agent.checkpoint import CheckpointError, read_metadata, require_fit
 from agent.policy import PolicyConfig
-from autopilot_bridge.config import Box, BridgeConfig, Limits, LockstepClock, PacedClock, udpin_address
+from autopilot_bridge.config import BridgeConfig, Limits, LockstepClock, PacedClock, udpin_address
+from autopilot_bridge.energy import Endurance
+from autopilot_bridge.fence import Box, Cylinder, Fence, Polygon, Span, Vertices
 from mission.yaml_file import YamlError, read_mapping
 from rf_model.config_errors import one_line
 from rf_model.ris_control import RisControl
@@ -27,8 +29,11 @@ BRIDGE_FIELDS = {
     "start_position_enu": "scenario.start_enu",
     "panel_heading_rad": "scenario.panel_heading_rad",
     "box": "scenario.box_enu",
+    "home_distance_m": "limits.home_distance_m",
+    "separation_m": "limits.separation_m",
 }
 """Where the mission file says what the bridge's config takes from it."""
+JOULES_PER_WH = 3600.0
 ANY_CONTROL = "127.0.0.1:1"
 """Stands for the control socket while none is open yet."""
 
@@ -101,6 +106,51 @@ class LimitsSection(Limits):
     fence_sideways_m: Margin = 10.0
     """How far outside the box the fence stands."""
     fence_vertically_m: Margin = 5.0
+    home_distance_m: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    """How far from home the vehicle may be, in plan."""
+    separation_m: Margin = 0.0
+    """Distance in plan that other vehicles are never to come nearer than."""
+
+
+class FenceSection(_Strict):
+    """The fence, in place of one about the scenario's box: a box, a polygon with its altitudes, or a cylinder."""
+
+    box: Box | None = None
+    polygon: Vertices | None = None
+    altitude: Span | None = None
+    """Of the polygon."""
+    cylinder: Cylinder | None = None
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Self:
+        shapes = [name for name in ("box", "polygon", "cylinder") if getattr(self, name) is not None]
+        if len(shapes) != 1:
+            given = " and ".join(shapes) or "none"
+            raise ValueError(
+                f"{shapes[-1] if shapes else 'box'}: one of box, polygon, cylinder must be given, not {given}"
+            )
+        if (self.polygon is None) != (self.altitude is None):
+            raise ValueError("altitude: must be given with polygon, and only there")
+        return self
+
+    @property
+    def shape(self) -> Fence:
+        if self.polygon is not None and self.altitude is not None:
+            return Polygon(polygon=self.polygon, altitude=self.altitude)
+        shape = self.box or self.cylinder
+        assert shape is not None
+        return shape
+
+
+class EnergySection(_Strict):
+    """The pack, and the way home that must always be left in it; the power model is the scenario's."""
+
+    pack_wh: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    margin: Annotated[float, Field(ge=0, le=5, allow_inf_nan=False)] = 0.3
+    """This share more than the model says."""
+    cruise_mps: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    return_altitude_m: Annotated[float, Field(ge=0, le=1000)] = 30.0
+    """How the autopilot returns: at this speed, at this height above home or higher."""
 
 
 class Record(_Strict):
@@ -127,6 +177,14 @@ class Mission(_Strict):
     ris: RisControl = RisControl()
     """Who sets the surface and the beams: a mode's name, or a mapping with `mode:`."""
     limits: LimitsSection = LimitsSection()
+    fence: FenceSection | None = None
+    """None: the scenario's box and `limits.fence_sideways_m`, `limits.fence_vertically_m` about it."""
+    energy: EnergySection | None = None
+    """None: nobody looks after the way home but the autopilot's own battery failsafe."""
+    tracking: Literal["position", "none"] = "position"
+    """How slots are flown: closed on the planned position, or open loop, for comparison."""
+    yaw: Literal["panel", "face_users"] = "panel"
+    """The panel's normal: at `scenario.panel_heading_rad`, or towards `scenario.user_centre_enu`."""
     restart: Literal["once", "never"] = "once"
     """Whether a radio or agent node that dies is started again."""
     record: Record = Record()
@@ -243,7 +301,12 @@ def bridge_config(
             start_position_enu=scenario.start_enu,
             panel_heading_rad=scenario.panel_heading_rad,
             box=Box(x=x, y=y, z=z),
-            fence=Box(x=x, y=y, z=z).grown(limits.fence_sideways_m, limits.fence_vertically_m),
+            face_enu=scenario.user_centre_enu if mission.yaw == "face_users" else None,
+            tracking=mission.tracking,
+            fence=_fence(mission),
+            home_distance_m=limits.home_distance_m,
+            separation_m=limits.separation_m,
+            endurance=_endurance(mission),
             limits=Limits(**{name: getattr(limits, name) for name in Limits.model_fields}),
             await_restart=mission.restart == "once",
             at_end=mission.at_end,
@@ -254,6 +317,28 @@ def bridge_config(
         line = one_line(error, BridgeConfig)
         name = re.match(r"\w*", line)[0]  # type: ignore[index]  # \w* always matches
         raise MissionError(BRIDGE_FIELDS.get(name, name) + line.removeprefix(name)) from error
+
+
+def _fence(mission: Mission) -> Fence:
+    if mission.fence is not None:
+        return mission.fence.shape
+    x, y, z = mission.scenario.box_enu
+    limits = mission.limits
+    return Box(x=x, y=y, z=z).grown(limits.fence_sideways_m, limits.fence_vertically_m)
+
+
+def _endurance(mission: Mission) -> Endurance | None:
+    energy, scenario = mission.energy, mission.scenario
+    if energy is None:
+        return None
+    return Endurance(
+        pack_j=energy.pack_wh * JOULES_PER_WH,
+        margin=energy.margin,
+        cruise_mps=energy.cruise_mps,
+        return_altitude_m=energy.return_altitude_m,
+        wing=scenario.wing,
+        panel=scenario.panel,
+    )
 
 
 def action_deadline_s(mission: Mission) -> float:

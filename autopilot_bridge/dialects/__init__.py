@@ -26,9 +26,8 @@ class Dialect:
     reaction_s: float
     """How long a commanded stop takes to bite: the envelope's `reaction_s`."""
     takeoff_altitude: str
-    horizontal_limit: str
-    up_limit: str
-    down_limit: str
+    limits: Mapping[str, tuple[str, float]]
+    """What `Limits.within` takes -> the parameter that holds it, and its unit in SI. `horizontal_mps` must be there."""
     offboard_loss_action: str
     offboard_loss_safe: tuple[int, ...]
     """Values of `offboard_loss_action` that land or return; the first is set when another is found."""

@@ -4,8 +4,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from autopilot_bridge.config import Box, Limits
+from autopilot_bridge.config import Limits
 from autopilot_bridge.envelope import RESPONSE_S, Envelope
+from autopilot_bridge.fence import Box
 
 FENCE = Box(x=(-30, 30), y=(-20, 20), z=(5, 25))
 LIMITS = Limits(horizontal_mps=10, up_mps=3, down_mps=1.5, acceleration_mps2=3)

@@ -4,7 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from autopilot_bridge.config import Box, Limits
+from autopilot_bridge.config import Limits
+from autopilot_bridge.fence import Box
 from autopilot_bridge.plan import plan_slot
 
 BOX = Box(x=(-100, 100), y=(-100, 100), z=(30, 120))
