@@ -19,7 +19,8 @@ the whole triangle, since it has no holes.
 Vehicles differ in how they share out acceleration between level and vertical: some turn the velocity straight to the
 command, some do both axes at once and are there sooner. Both are looked at; stops are the straight one's, the longer.
 
-A vehicle that is outside already, or cannot stop inside any more, may do what brings its stop back.
+A vehicle that is outside already may do what brings its stop back. One that cannot stop inside any more (wind, or an
+autopilot slower than its limits) is called back, since real velocity loops are slow to forget what they held against.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -38,6 +39,8 @@ RESPONSE_S = 1.5
 """A command may be ahead of the measured velocity by this long at the acceleration limit."""
 BISECTIONS = 14
 HOME = (0.0, 0.0)
+CALL_BACK = 1.0
+"""[1/s] Speed inward for each metre that a stop would end outside."""
 WALLS = 3
 """A command slides along so many walls at most before all of it is shortened."""
 
@@ -106,13 +109,13 @@ class Envelope:
             return Sent(np.zeros(3), ("not finite",))
         reasons: list[str] = []
 
-        slower = self._limit_speed(wanted)
+        slower = self.limit_speed(wanted)
         if not np.array_equal(slower, wanted):
             reasons.append("speed")
 
         change = slower - velocity
         size, most = self.limits.time_to_change(change), RESPONSE_S
-        gentler = slower if size <= most else self._limit_speed(velocity + change * (most / size))
+        gentler = slower if size <= most else self.limit_speed(velocity + change * (most / size))
         if gentler is not slower:
             reasons.append("acceleration")
 
@@ -136,7 +139,8 @@ class Envelope:
                 apart_m = self.separation_m + 2 * other.age_s * self.limits.horizontal_mps
                 yield "separation", own_side(own, theirs, apart_m)
 
-    def _limit_speed(self, velocity: Vector) -> Vector:
+    def limit_speed(self, velocity: Vector) -> Vector:
+        """`velocity`, shortened sideways and clipped vertically to the limits."""
         horizontal = float(np.hypot(velocity[0], velocity[1]))
         vertical = min(max(float(velocity[2]), -self.limits.down_mps), self.limits.up_mps)
         if horizontal <= self.limits.horizontal_mps and vertical == velocity[2]:
@@ -168,7 +172,7 @@ class _Step:
         if blocked:
             target = np.zeros(3)
             if self._in_the_way(target):
-                return target, tuple(told)
+                return self._call_back(), tuple(told)
         good, bad = 0.0, 1.0
         for _ in range(BISECTIONS):
             share = (good + bad) / 2
@@ -177,6 +181,18 @@ class _Step:
             else:
                 good = share
         return target + good * (wanted - target), tuple(told)
+
+    def _call_back(self) -> Vector:
+        """Braking, and more: inward as fast as the stop is far outside."""
+        envelope = self._envelope
+        stop = envelope.stop(self._position, self._velocity)
+        inward = np.zeros(3)
+        for _, bound in self._bounds:
+            path = np.array([self._position, stop])[:, :2]
+            inward[:2] -= CALL_BACK * bound.beyond_m(path[-1:]) * bound.wall(path)
+        low, high = envelope.fence.altitude
+        inward[2] = CALL_BACK * (min(max(float(stop[2]), low), high) - stop[2])
+        return envelope.limit_speed(inward)
 
     def _in_the_way(self, command: Vector) -> dict[str, Plan]:
         """What does not let `command` through: its name, and the wall's normal (zero: not in plan)."""
