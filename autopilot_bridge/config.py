@@ -2,8 +2,9 @@
 
 import math
 from functools import cached_property
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Literal, Self
-from urllib.parse import urlsplit
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -11,6 +12,13 @@ from pydantic import Field, field_validator, model_validator
 from airframe.slot_profile import Agility, SpeedLimits, Vector
 from autopilot_bridge.energy import Endurance
 from autopilot_bridge.fence import Box, Fence, Strict, holds_box
+from autopilot_bridge.url import parse_url
+
+Failsafe = Literal["offboard_loss", "battery_failsafe", "gcs_loss", "geofence"]
+"""What an autopilot does by itself when our stream stops, the battery is low, the ground station silent, its fence
+breached."""
+REQUIRED: tuple[Failsafe, ...] = ("offboard_loss", "battery_failsafe")
+"""Without these no flight begins, unless the mission says so by name."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -96,10 +104,15 @@ class BridgeConfig(Strict):
     """Everything the bridge node takes; see each field."""
 
     autopilot: str = "udpin://127.0.0.1:14540"
-    """Where MAVLink comes in: `udpin://HOST:PORT`."""
+    """Where MAVLink comes in: udpin://HOST:PORT, udpout://HOST:PORT, tcp://HOST:PORT or serial://DEVICE:BAUD."""
+    backend: Literal["pymavlink", "mavsdk"] = "pymavlink"
+    """The client library that asks the autopilot for things."""
     system_id: Annotated[int, Field(ge=1, le=255)] = 1
     """The vehicle's MAVLink system id; frames of all others are logged and ignored."""
-    dialect: Literal["px4"] = "px4"
+    dialect: Literal["auto", "px4", "arducopter"] = "auto"
+    """Which autopilot is expected; `auto`: whichever of them answers."""
+    signing_key: Path | None = None
+    """MAVLink 2 signing: a file of 32 bytes or 64 hexadecimal digits; None: frames are neither signed nor checked."""
     clock: Annotated[LockstepClock | PacedClock, Field(discriminator="kind")]
     slots: Annotated[int, Field(ge=1)]
     slot_s: Annotated[float, Field(ge=0.2, le=60)] = 1.0
@@ -137,13 +150,19 @@ class BridgeConfig(Strict):
     """Setpoints per second of vehicle time; the bridge steps at this rate."""
     parameters: dict[str, float | int] = Field(default={})
     """Autopilot parameters to set at preflight."""
+    require: tuple[Failsafe, ...] = ()
+    """Failsafes of the autopilot that this flight stands on besides `REQUIRED`."""
+    allow_without: tuple[Failsafe, ...] = ()
+    """Failsafes that it may fly without."""
+    state_folder: Path | None = None
+    """Where the journal of changed parameters lies; None: the user's ($XDG_STATE_HOME/aerialstar)."""
     autostart: bool = False
     """Fly without waiting for the `start` command."""
 
     @field_validator("autopilot")
     @classmethod
     def _autopilot(cls, url: str) -> str:
-        udpin_address(url)
+        parse_url(url)
         return url
 
     @field_validator("slot_s")
@@ -152,6 +171,31 @@ class BridgeConfig(Strict):
         if not math.isclose(slot_s * 10, round(slot_s * 10), abs_tol=1e-6):
             raise ValueError(f"{slot_s:g}: must be a multiple of 0.1 s, the track's sampling")
         return slot_s
+
+    @model_validator(mode="after")
+    def _backend_fits(self) -> Self:
+        """MAVSDK has clocks of its own, and no signing; lockstep counts datagrams."""
+        lockstep = isinstance(self.clock, LockstepClock)
+        if lockstep and not self.autopilot.startswith("udpin://"):
+            raise ValueError(
+                f"autopilot: {self.autopilot!r} is not for clock 'lockstep', which needs udpin://HOST:PORT"
+            )
+        if self.backend == "mavsdk":
+            if find_spec("mavsdk") is None:
+                raise ValueError("backend: 'mavsdk' is not installed: pip install mavsdk")
+            if isinstance(self.clock, LockstepClock) or self.clock.speed > 1.0:
+                given = "lockstep" if isinstance(self.clock, LockstepClock) else f"paced, speed {self.clock.speed:g}"
+                raise ValueError(f"backend: 'mavsdk' needs clock 'paced' at speed 1 at most, not {given}")
+            if self.signing_key is not None:
+                raise ValueError("signing_key: backend 'mavsdk' cannot sign, 'pymavlink' can")
+        return self
+
+    @model_validator(mode="after")
+    def _said_once(self) -> Self:
+        both = sorted(set(self.require) & set(self.allow_without))
+        if both:
+            raise ValueError(f"allow_without: {both[0]!r} is also in require; it can be in one of them")
+        return self
 
     @model_validator(mode="after")
     def _volumes(self) -> Self:
@@ -196,18 +240,6 @@ class BridgeConfig(Strict):
     def deadline_s(self) -> float:
         """Vehicle time from a slot's opening within which its action must come."""
         return self.action_deadline_fraction * self.slot_s
-
-
-def udpin_address(url: str) -> tuple[str, int]:
-    """(host, port) of `udpin://HOST:PORT`. Raises ValueError for anything else."""
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname, parts.port
-    except ValueError as error:
-        raise ValueError(f"{url!r}: {error}") from None
-    if parts.scheme != "udpin" or not host or port is None or parts.path:
-        raise ValueError(f"{url!r}: only udpin://HOST:PORT is supported, e.g. udpin://127.0.0.1:14540")
-    return host, port
 
 
 def endpoint(text: str) -> tuple[str, int]:

@@ -24,7 +24,6 @@ from airframe.slot_profile import Reference, SlotProfile, Vector, brake
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig, Limits
 from autopilot_bridge.deadman import SILENCE_WALL_S, Rung, Silence
-from autopilot_bridge.dialects import Dialect
 from autopilot_bridge.envelope import Envelope
 from autopilot_bridge.fence import Fence, outside_m
 from autopilot_bridge.ground import Ground
@@ -73,14 +72,13 @@ class Flight:
     def __init__(
         self,
         config: BridgeConfig,
-        dialect: Dialect,
         ground: Ground,
         clock: Clock,
         make_vehicle: Callable[[Callable[[], None]], Vehicle],
         others: Callable[[], Sequence[Track]] = tuple,
     ) -> None:
         """`others()` tells where the vehicles are that this one must keep apart from."""
-        self._config, self._dialect, self._ground, self._clock = config, dialect, ground, clock
+        self._config, self._ground, self._clock = config, ground, clock
         self._others = others
         self._vehicle = make_vehicle(self._step)
         self._phase = "connecting"
@@ -152,7 +150,7 @@ class Flight:
 
     def _preflight(self) -> None:
         self._enter("preflight")
-        vehicle, dialect = self._vehicle, self._dialect
+        vehicle, dialect = self._vehicle, self._vehicle.dialect
         for name, value in self._config.parameters.items():
             vehicle.set_parameter(name, value)
             self._tell("parameter", f"{name} set to {value:g}")
@@ -162,14 +160,11 @@ class Flight:
         self._tracking_limits = self._limits.model_copy(update={"horizontal_mps": headroom_mps})
         if self._limits != self._config.limits:
             self._tell("limits", f"planning inside the autopilot's limits: {self._limits}")
-        action = vehicle.parameter(dialect.offboard_loss_action)
-        if action not in dialect.offboard_loss_safe:
-            safe = dialect.offboard_loss_safe[0]
-            vehicle.set_parameter(dialect.offboard_loss_action, safe)
-            self._tell(
-                "parameter",
-                f"{dialect.offboard_loss_action} was {action:g}, which neither lands nor returns: set to {safe}",
-            )
+        for name, safe in dialect.failsafes.items():
+            found = vehicle.parameter(name)
+            if found not in safe:
+                vehicle.set_parameter(name, safe[0])
+                self._tell("parameter", f"{name} was {found:g}, which neither lands nor returns: set to {safe[0]:g}")
         vehicle.await_armable()
 
     def _await_start(self) -> None:
@@ -217,7 +212,7 @@ class Flight:
             self._slots.restart(self._clock.now, position, velocity)
         self._follow(brake(position, velocity, self._limits.agility))
         self._expected = {self._vehicle.telemetry.mode, Mode.OFFBOARD}
-        until = self._clock.now + self._dialect.stream_before_offboard_s
+        until = self._clock.now + self._vehicle.dialect.stream_before_offboard_s
         while self._clock.now < until:
             self._step()
         self._vehicle.hear_mode()
@@ -443,7 +438,7 @@ class Flight:
         if self._config.tracking == "none" and self._slots is not None:
             wanted = follow(reference)
         else:
-            wanted = track(reference, position, self._dialect.lead_s)
+            wanted = track(reference, position, self._vehicle.dialect.lead_s)
         endurance, battery = self._config.endurance, self._vehicle.telemetry.battery_remaining
         energy_j = None if endurance is None else endurance.left_j(battery)
         sent = self._envelope.send(wanted, self._heading(position), position, velocity, self._others(), energy_j)
@@ -540,7 +535,7 @@ class Flight:
         return Envelope(
             self._tracking_limits,
             self._fence,
-            self._dialect.reaction_s,
+            self._vehicle.dialect.reaction_s,
             self._config.tick_ms / 1000,
             self._vehicle.send_velocity,
             self._config.home_distance_m,

@@ -1,7 +1,7 @@
 """The bridge's sockets: the MAVLink link with its flight log, and the SITL's control line.
 
-Every MAVLink byte of the bridge goes through here. That is why the log is complete, why frames of other systems are
-sorted out in one place, and where tests inject faults.
+Every MAVLink byte of the bridge goes through here, whichever library has written it. That is why the log is complete,
+why frames of other systems are sorted out and signatures checked in one place, and where tests inject faults.
 """
 
 import socket
@@ -14,15 +14,16 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot_bridge.config import endpoint, udpin_address
+from autopilot_bridge.config import endpoint
+from autopilot_bridge.signing import Signing, is_signed
+from autopilot_bridge.url import parse_url
+from autopilot_bridge.wire import Sender, WireError, frames, open_wire
 
 OWN_SYSTEM = 245
 """Ours; 1 is the vehicle's, 255 the ground station's."""
-RECEIVE_BUFFER = 4 * 1024 * 1024
-"""[bytes] A lockstep step's telemetry waits here whole."""
 
 Tamper = Callable[[bytes], Iterable[bytes]]
-"""What becomes of a datagram on its way: nothing, itself, several, another one."""
+"""What becomes of a datagram on its way (of a frame, on a stream): nothing, itself, several, another one."""
 
 
 class LinkError(RuntimeError):
@@ -35,14 +36,17 @@ def untouched(datagram: bytes) -> Iterable[bytes]:
 
 
 class Link:
-    """MAVLink 2 over the one UDP socket, both directions logged.
+    """MAVLink 2 over one wire (UDP, TCP, serial), both directions logged.
 
     The log is a `.tlog`: per frame 8 bytes of big-endian microseconds since 1970, then the frame. Writes are not
     buffered, so what was exchanged is in the file even when the process is killed. Time stamps are the wall time of
     the first telemetry plus vehicle time since, so that a flight in lockstep is logged at its own pace.
 
-    Args: `url` as `udpin://HOST:PORT` (port 0: any free one); `system_id` of the vehicle, all else is logged and
-    ignored; `tlog` the log to write, if any; `tamper_in`, `tamper_out` faults to inject, for tests.
+    With `signing` every frame sent by `send` is signed, and only frames signed with the same key are heard; the rest
+    is counted as `unsigned`, `bad_signature` or `replayed`.
+
+    Args: `url` as `parse_url` takes it (udpin with port 0: any free one); `system_id` of the vehicle, all else is
+    logged and ignored; `tlog` the log to write, if any; `tamper_in`, `tamper_out` faults to inject, for tests.
     """
 
     def __init__(
@@ -52,38 +56,39 @@ class Link:
         tlog: Path | None = None,
         tamper_in: Tamper = untouched,
         tamper_out: Tamper = untouched,
+        signing: Signing | None = None,
     ) -> None:
         self.url = url
+        self.signing = signing
         self.counters: Counter[str] = Counter()
         self.datagrams = 0
-        """Datagrams received; in lockstep the SITL says how many to expect."""
+        """Datagrams received (frames, on a stream); in lockstep the SITL says how many to expect."""
         self._system_id = system_id
         self._tamper_in, self._tamper_out = tamper_in, tamper_out
         self._codec: Any = mavlink.MAVLink(
             None, srcSystem=OWN_SYSTEM, srcComponent=mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
         )
-        self._peer: tuple[str, int] | None = None
+        self._decoder: Any = mavlink.MAVLink(None)
+        """One of its own: pymavlink's lets a forged frame move a sender's timestamp."""
+        if signing is not None:
+            signing.sign_what(self._codec)
         self._opened_us = time.time_ns() // 1000
         self._vehicle_time_s: Callable[[], float] = lambda: 0.0
-        host, port = udpin_address(url)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        self._skipped = 0
         try:
-            self._socket.bind((host, port))
-        except OSError as error:
-            self._socket.close()
-            raise LinkError(f"autopilot {url}: cannot listen there: {error.strerror}") from error
+            self._wire = open_wire(parse_url(url))
+        except WireError as error:
+            raise LinkError(f"autopilot {url}: {error}") from error
         try:
             self._log = tlog.open("wb", buffering=0) if tlog is not None else None
         except OSError as error:
-            self._socket.close()
+            self._wire.close()
             raise LinkError(f"flight log {tlog}: cannot be written: {error.strerror}") from error
 
     @property
     def port(self) -> int:
-        """The UDP port listened on."""
-        port: int = self._socket.getsockname()[1]
-        return port
+        """Our UDP or TCP port; 0 on a serial line."""
+        return self._wire.port
 
     def stamp_by(self, vehicle_time_s: Callable[[], float]) -> None:
         """Stamp the log by this clock from now on, starting at the wall time of now."""
@@ -92,56 +97,62 @@ class Link:
         self._vehicle_time_s = lambda: vehicle_time_s() - start_s
 
     def send(self, message: Any) -> None:  # noqa: ANN401  pymavlink has no types
-        """Send a message to the vehicle; before its first frame there is nobody to send to, and it is dropped."""
-        if self._peer is None:
-            self.counters["sent_to_nobody"] += 1
-            return
+        """Send a message to the vehicle; while there is nobody to send to, it is dropped."""
         frame = bytes(message.pack(self._codec))
         self._codec.seq = (self._codec.seq + 1) % 256
-        self.counters["frames_out"] += 1
-        self._write(frame)
+        self.send_frame(frame)
+
+    def send_frame(self, frame: bytes) -> None:
+        """Send a frame that somebody else has packed, as it is."""
         for datagram in self._tamper_out(frame):
             try:
-                self._socket.sendto(datagram, self._peer)
+                if not self._wire.send(datagram):
+                    self.counters["sent_to_nobody"] += 1
+                    return
             except OSError:
                 self.counters["send_failed"] += 1
+        self.counters["frames_out"] += 1
+        self._write(frame)
 
     def receive(self, timeout_s: float) -> list[Any]:
-        """The vehicle's messages that have come; waits up to `timeout_s` for the first datagram, for none after it."""
+        """The vehicle's messages that have come; waits up to `timeout_s` for the first, for none after it."""
         messages: list[Any] = []
-        self._socket.settimeout(max(timeout_s, 1e-4))
-        while True:
-            try:
-                datagram, sender = self._socket.recvfrom(65536)
-            except (TimeoutError, BlockingIOError):
-                return messages
-            self._socket.settimeout(0)
+        came = self._wire.receive(timeout_s)
+        self.counters["bad_data"] += self._wire.skipped - self._skipped
+        self._skipped = self._wire.skipped
+        for datagram, sender in came:
             self.datagrams += 1
             for arrived in self._tamper_in(datagram):
                 messages.extend(self._decode(arrived, sender))
+        return messages
 
     def close(self) -> None:
-        self._socket.close()
+        self._wire.close()
         if self._log is not None:
             self._log.close()
 
-    def _decode(self, datagram: bytes, sender: tuple[str, int]) -> Iterator[Any]:
+    def _decode(self, datagram: bytes, sender: Sender) -> Iterator[Any]:
         understood = 0
         for frame in frames(datagram):
             understood += len(frame)
             self.counters["frames_in"] += 1
             self._write(frame)
             try:
-                message = self._codec.decode(bytearray(frame))
+                message = self._decoder.decode(bytearray(frame))
             except (mavlink.MAVError, struct.error):
                 self.counters["bad_data"] += 1
+                continue
+            refusal = self.signing.refusal(frame) if self.signing is not None else ""
+            if refusal:
+                self.counters[refusal] += 1
                 continue
             if message.get_srcSystem() != self._system_id or (
                 message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1
             ):
                 self.counters["foreign"] += 1
                 continue
-            self._peer = sender
+            self.counters["signed"] += is_signed(frame)
+            self._wire.answer(sender)
             yield message
         if understood < len(datagram):
             self.counters["bad_data"] += 1
@@ -154,22 +165,6 @@ class Link:
             self._log.write(struct.pack(">Q", stamp) + frame)
         except OSError:
             self.counters["log_failed"] += 1  # a full disk must not take the vehicle down with it
-
-
-def frames(data: bytes) -> Iterator[bytes]:
-    """The MAVLink 1 and 2 frames of a datagram; what follows an incomplete or unknown start is left."""
-    start = 0
-    while start + 8 <= len(data):
-        if data[start] == 0xFD and start + 12 <= len(data):
-            size = 12 + data[start + 1] + (13 if data[start + 2] & mavlink.MAVLINK_IFLAG_SIGNED else 0)
-        elif data[start] == 0xFE:
-            size = 8 + data[start + 1]
-        else:
-            return
-        if start + size > len(data):
-            return
-        yield data[start : start + size]
-        start += size
 
 
 class ControlLine:

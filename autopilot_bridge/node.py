@@ -10,14 +10,12 @@ import zenoh
 
 from autopilot_bridge.clock import Clock, Lockstep, Paced
 from autopilot_bridge.config import BridgeConfig, LockstepClock
-from autopilot_bridge.dialects import Dialect
-from autopilot_bridge.dialects.px4 import PX4
+from autopilot_bridge.dialects.known import dialects
 from autopilot_bridge.flight import ERROR, Flight
 from autopilot_bridge.ground import Ground
 from autopilot_bridge.link import Link, LinkError
-from autopilot_bridge.pymavlink_vehicle import PymavlinkVehicle
-
-DIALECTS: dict[str, Dialect] = {"px4": PX4}
+from autopilot_bridge.mavlink_vehicle import MavlinkVehicle
+from autopilot_bridge.signing import Signing, read_key
 
 
 def run(config: BridgeConfig, vehicle: str, session: zenoh.Session, tlog: Path | None) -> int:
@@ -29,9 +27,10 @@ def run(config: BridgeConfig, vehicle: str, session: zenoh.Session, tlog: Path |
     ground = Ground(session, vehicle)
     with contextlib.ExitStack() as served, _interrupted_by(lambda: ground.commands.put("land")):
         try:
-            with contextlib.closing(Link(config.autopilot, config.system_id, tlog)) as link:
+            link = Link(config.autopilot, config.system_id, tlog, signing=_signing(config))
+            with contextlib.closing(link):
                 code = _fly(config, ground, link, served)
-        except LinkError as error:
+        except (LinkError, ValueError) as error:
             ground.tell("error", str(error))
             code = ERROR
         ground.tell("ended", f"exit {code}", code)
@@ -40,17 +39,32 @@ def run(config: BridgeConfig, vehicle: str, session: zenoh.Session, tlog: Path |
 
 def _fly(config: BridgeConfig, ground: Ground, link: Link, served: contextlib.ExitStack) -> int:
     """Alive on the bus only once a flight is there to take commands."""
-    dialect = DIALECTS[config.dialect]
     clock = _clock(config)
     ground.now = lambda: clock.now
-    flight = Flight(
-        config, dialect, ground, clock, lambda wait: PymavlinkVehicle(link, dialect, config.system_id, clock, wait)
-    )
+    flight = Flight(config, ground, clock, lambda wait: _vehicle(config, link, clock, wait))
     served.enter_context(ground.served())
     code = flight.run()
     with contextlib.suppress(LinkError):  # a SITL that is gone needs no farewell
         clock.close(over=flight.down)
     return code
+
+
+def _vehicle(config: BridgeConfig, link: Link, clock: Clock, wait: Callable[[], None]) -> MavlinkVehicle:
+    """By the back end that was chosen; only that one is imported."""
+    if config.backend == "mavsdk":
+        from autopilot_bridge.mavsdk_vehicle import MavsdkVehicle
+
+        return MavsdkVehicle(link, dialects(config.dialect), config.system_id, clock, wait)
+    from autopilot_bridge.pymavlink_vehicle import PymavlinkVehicle
+
+    return PymavlinkVehicle(link, dialects(config.dialect), config.system_id, clock, wait)
+
+
+def _signing(config: BridgeConfig) -> Signing | None:
+    """Raises ValueError when the key cannot be read."""
+    if config.signing_key is None:
+        return None
+    return Signing(read_key(config.signing_key), wall_clock=not isinstance(config.clock, LockstepClock))
 
 
 def _clock(config: BridgeConfig) -> Clock:

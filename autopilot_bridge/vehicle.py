@@ -9,14 +9,18 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from airframe.slot_profile import Vector
 
+if TYPE_CHECKING:
+    from autopilot_bridge.dialects import Dialect
+
 
 class Mode(StrEnum):
-    """Flight modes the bridge acts on; every other one is somebody else's."""
+    """Flight modes the bridge acts on; every other one is somebody else's. OFFBOARD is the one that flies setpoints."""
 
     HOLD = "HOLD"
     TAKEOFF = "TAKEOFF"
@@ -58,6 +62,8 @@ class Telemetry:
     armable: bool = False
     battery_remaining: float | None = None
     """0 to 1."""
+    unhealthy: tuple[str, ...] = ()
+    """What the autopilot says is not well (MAV_SYS_STATUS_SENSOR, without that)."""
     home_lat_lon_alt: tuple[float, float, float] | None = None
     """Degrees, degrees, metres above mean sea level."""
 
@@ -73,6 +79,16 @@ class Vehicle(ABC):
     """One vehicle over one link."""
 
     counters: Counter[str]
+
+    @property
+    @abstractmethod
+    def dialect(self) -> "Dialect":
+        """The autopilot's ways; known once connected. Raises VehicleError before."""
+
+    @property
+    @abstractmethod
+    def hardware_uid(self) -> str:
+        """The autopilot's own number in hexadecimal digits; empty until connected, or if it has none."""
 
     @property
     @abstractmethod

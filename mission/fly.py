@@ -166,8 +166,11 @@ class _Flight:
     def _sitl_command(self, companion_port: int) -> list[str]:
         mission = self._mission
         lockstep = mission.clock == "lockstep"
+        key = mission.vehicle.signing_key
         return python(
             "sitl",
+            *("--personality", mission.vehicle.sitl.personality),
+            *(("--signing-key", str(key)) if key is not None else ()),
             *("--companion-port", str(companion_port), "--companion-bind", "0", "--gcs-bind", "0"),
             *(("--lockstep", "--control-port", "0") if lockstep else ()),
             *("--speed", str(FAILSAFE_SPEED if lockstep else mission.speed), "--exit-when-landed"),

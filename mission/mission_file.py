@@ -10,9 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from agent.checkpoint import CheckpointError, read_metadata, require_fit
 from agent.policy import PolicyConfig
-from autopilot_bridge.config import BridgeConfig, Limits, LockstepClock, PacedClock, udpin_address
+from autopilot_bridge.config import BridgeConfig, Limits, LockstepClock, PacedClock
 from autopilot_bridge.energy import Endurance
 from autopilot_bridge.fence import Box, Cylinder, Fence, Polygon, Span, Vertices
+from autopilot_bridge.url import ALLOWED, EXAMPLE, parse_url
 from mission.yaml_file import YamlError, read_mapping
 from rf_model.config_errors import one_line
 from rf_model.ris_control import RisControl
@@ -22,6 +23,8 @@ NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 EMBEDDED = "sitl"
 BRIDGE_FIELDS = {
     "autopilot": "vehicle.autopilot",
+    "backend": "vehicle.backend",
+    "signing_key": "vehicle.signing_key",
     "system_id": "vehicle.system_id",
     "parameters": "vehicle.parameters",
     "slot_s": "scenario.slot_s",
@@ -54,8 +57,10 @@ class _Strict(BaseModel):
 class Sitl(_Strict):
     """The embedded autopilot's own options."""
 
+    personality: Literal["px4", "arducopter"] = "px4"
+    """Which autopilot it plays."""
     parameters: Parameters = {}
-    """PX4 parameters it starts with, e.g. `SIH_KDV: 1.5` for more drag."""
+    """Parameters it starts with, e.g. PX4's `SIH_KDV: 1.5` for more drag."""
 
 
 class VehicleSection(_Strict):
@@ -64,9 +69,13 @@ class VehicleSection(_Strict):
     name: str = "star1"
     """Its place on the bus: `star/<name>/...`."""
     autopilot: str = EMBEDDED
-    """`sitl` starts the embedded one; `udpin://HOST:PORT` waits there for any other."""
-    backend: Literal["pymavlink"] = "pymavlink"
-    dialect: Literal["px4"] = "px4"
+    """`sitl` starts the embedded one; a URL reaches any other: udpin, udpout, tcp or serial."""
+    backend: Literal["pymavlink", "mavsdk"] = "pymavlink"
+    """The client library; MAVSDK flies at the vehicle's own pace at most, and cannot sign."""
+    dialect: Literal["auto", "px4", "arducopter"] = "auto"
+    """Which autopilot is expected; `auto`: whichever answers."""
+    signing_key: Annotated[Path, Field(strict=False)] | None = None
+    """MAVLink 2 signing: a file of 32 bytes or 64 hexadecimal digits, read at the start."""
     system_id: Annotated[int, Field(ge=1, le=255)] = 1
     parameters: Parameters = {}
     """Autopilot parameters that the bridge sets at preflight."""
@@ -84,11 +93,9 @@ class VehicleSection(_Strict):
     def _autopilot(cls, autopilot: str) -> str:
         if autopilot != EMBEDDED:
             try:
-                udpin_address(autopilot)
+                parse_url(autopilot)
             except ValueError:
-                raise ValueError(
-                    f"{autopilot!r} must be '{EMBEDDED}' or udpin://HOST:PORT, e.g. udpin://127.0.0.1:14540"
-                ) from None
+                raise ValueError(f"{autopilot!r} must be '{EMBEDDED}', {ALLOWED}, {EXAMPLE}") from None
         return autopilot
 
     @model_validator(mode="after")
@@ -291,7 +298,9 @@ def bridge_config(
         return BridgeConfig(
             autopilot=url,
             system_id=mission.vehicle.system_id,
+            backend=mission.vehicle.backend,
             dialect=mission.vehicle.dialect,
+            signing_key=mission.vehicle.signing_key,
             clock=LockstepClock(control=control)
             if mission.clock == "lockstep" and control
             else PacedClock(speed=mission.speed),

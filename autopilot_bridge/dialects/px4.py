@@ -1,8 +1,11 @@
 """PX4, as measured (shared/design/AUTOPILOT.md sections 2 and 4)."""
 
+import math
+from collections.abc import Callable
+
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot_bridge.dialects import Dialect
+from autopilot_bridge.dialects import Dialect, Need, OwnFence
 from autopilot_bridge.vehicle import Mode
 
 AUTO = 4
@@ -10,6 +13,13 @@ AUTO = 4
 
 def _custom_mode(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
+
+
+def _own_fence(parameter: Callable[[str], float]) -> OwnFence:
+    """0: none."""
+    if not parameter("GF_ACTION"):
+        return OwnFence()
+    return OwnFence(parameter("GF_MAX_HOR_DIST") or math.inf, parameter("GF_MAX_VER_DIST") or math.inf)
 
 
 PX4 = Dialect(
@@ -49,13 +59,27 @@ PX4 = Dialect(
     stream_before_offboard_s=0.2,
     lead_s=(0.8, 0.8, 0.4),
     reaction_s=0.5,
+    ready=Mode.HOLD,
     takeoff_altitude="MIS_TAKEOFF_ALT",
+    takeoff_done=0.8,  # it changes to HOLD by itself, once there
     limits={  # no acceleration or jerk: OFFBOARD velocities pass by PX4's smoothing
         "horizontal_mps": ("MPC_XY_VEL_MAX", 1.0),
         "up_mps": ("MPC_Z_VEL_MAX_UP", 1.0),
         "down_mps": ("MPC_Z_VEL_MAX_DN", 1.0),
     },
-    offboard_loss_action="COM_OBL_RC_ACT",
-    offboard_loss_safe=(3, 4),
+    failsafes={"COM_OBL_RC_ACT": (3, 4)},
+    stream_loss=("COM_OF_LOSS_T", 1.0),
+    owners_failsafes={
+        "battery_failsafe": (Need("COM_LOW_BAT_ACT", among=(1, 2, 3)),),  # return, land, return or land
+        "gcs_loss": (Need("NAV_DLL_ACT", among=(1, 2, 3)),),  # hold, return, land
+        "geofence": (
+            Need("GF_ACTION", among=(2, 3, 5)),
+            Need("GF_MAX_HOR_DIST", above=0),
+            Need("GF_MAX_VER_DIST", above=0),
+        ),
+    },
+    tilt_max=("MPC_TILTMAX_AIR", 1.0),
+    own_fence=_own_fence,
+    fence_parameters=("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"),
     int_bytewise=True,
 )

@@ -5,6 +5,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot_bridge.clock import Lockstep
+from autopilot_bridge.dialects.known import dialects
 from autopilot_bridge.dialects.px4 import PX4
 from autopilot_bridge.link import Link
 from autopilot_bridge.pymavlink_vehicle import PymavlinkVehicle
@@ -36,7 +37,7 @@ def connect(sitl):
         autopilot = sitl("--lockstep")
         link = Link(f"udpin://127.0.0.1:{autopilot.port}", 1, **tamper)
         clock = Lockstep(autopilot.control, 50)
-        vehicle = PymavlinkVehicle(link, PX4, 1, clock, lambda: clock.step(vehicle))
+        vehicle = PymavlinkVehicle(link, dialects("px4"), 1, clock, lambda: clock.step(vehicle))
         opened.append((clock, vehicle))
         vehicle.connect()
         return vehicle

@@ -1,0 +1,313 @@
+"""What both back ends share: the vehicle's state, read from the frames that `link` has decoded, and waiting for it.
+
+A command is done when telemetry shows its effect, whether its ACK came or not.
+"""
+
+import contextlib
+import math
+import time
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from airframe.frames import ned_to_enu, yaw_ned_to_enu
+from airframe.slot_profile import Vector
+from autopilot_bridge.clock import Clock
+from autopilot_bridge.dialects import Dialect
+from autopilot_bridge.link import Link
+from autopilot_bridge.vehicle import Mode, RefusedError, SilentError, Telemetry, Vehicle, VehicleError
+
+CONNECT_WALL_S = 5.0
+BEAT_WALL_S = 0.5
+"""How often we speak to an autopilot that must hear us before it answers."""
+ARMABLE_S = 60.0
+TAKEOFF_S = 60.0
+LIFTED_M = 0.5
+"""So high a vehicle is on its way up."""
+MODE_NEWS_S = 0.15
+"""A mode heard this short a time ago is the vehicle's."""
+MODE_WAIT_S = 1.5
+"""An autopilot that will not send HEARTBEAT faster does so once a second."""
+SHOWN_S = 6.0
+"""Vehicle time in which telemetry must show what was acknowledged."""
+RETRY_S = 0.5
+TRIES = 6
+PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+INTEGERS = range(mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT64 + 1)
+
+
+class MavlinkVehicle(Vehicle):
+    """See `Vehicle`. `wait` lets a step of vehicle time pass.
+
+    `dialects` are the autopilots that are flown, by MAV_AUTOPILOT; the first HEARTBEAT chooses.
+    """
+
+    def __init__(
+        self, link: Link, dialects: dict[int, Dialect], system_id: int, clock: Clock, wait: Callable[[], None]
+    ) -> None:
+        self.counters = link.counters
+        self._link, self._dialects, self._system_id = link, dialects, system_id
+        self._clock, self._wait = clock, wait
+        self._known: Dialect | None = None
+        self._stranger: int | None = None
+        """MAV_AUTOPILOT of a HEARTBEAT that we cannot fly."""
+        self._telemetry = Telemetry()
+        self._home_ned: Vector = np.zeros(3)
+        self._home_held = False
+        self._homes = 0
+        self._heartbeat_s = -math.inf
+        """Vehicle time of the last one."""
+        self._heard = 0
+        self._uid = ""
+        self._texts: list[str] = []
+        self._texts_told = 0
+        self._chunks: dict[int, str] = {}
+
+    @property
+    def dialect(self) -> Dialect:
+        if self._known is None:
+            raise VehicleError(f"autopilot at {self._link.url}: not connected")
+        return self._known
+
+    @property
+    def hardware_uid(self) -> str:
+        return self._uid
+
+    @property
+    def telemetry(self) -> Telemetry:
+        return self._telemetry
+
+    @property
+    def heard(self) -> int:
+        return self._heard
+
+    @property
+    def frames_received(self) -> int:
+        return self._link.datagrams
+
+    def poll(self, timeout_s: float) -> None:
+        for message in self._link.receive(timeout_s):
+            self._heard += 1
+            self._take(message)
+
+    def status_texts(self) -> list[str]:
+        new = self._texts[self._texts_told :]
+        self._texts_told = len(self._texts)
+        return new
+
+    def connect(self) -> None:
+        self._await_heartbeat()
+        self._meet()
+        self._await_position()
+        self._link.stamp_by(lambda: self._clock.now)
+
+    def await_armable(self) -> None:
+        ready = self.dialect.ready
+        if self._telemetry.mode is not ready:  # PX4 arms in no mode that cannot begin a flight, such as LAND
+            with contextlib.suppress(RefusedError):
+                self.set_mode(ready)
+        armable = self._until(lambda: self._telemetry.armable and self._homes > 0, ARMABLE_S)
+        if not self._homes:
+            raise VehicleError(f"autopilot at {self._link.url}: no HOME_POSITION within {ARMABLE_S:g} s")
+        if armable and self._telemetry.mode is not ready:  # ArduCopter leaves it when its start is done
+            self.set_mode(ready)
+
+    def arm(self) -> None:
+        self._arm()
+        homes = self._homes  # arming sets home anew
+        self._request_home()
+        self._until(lambda: self._homes > homes, 2.0)
+        self._home_held = True
+
+    def takeoff(self, altitude_m: float) -> None:
+        dialect = self.dialect
+        if dialect.takeoff_altitude is not None:
+            self.set_parameter(dialect.takeoff_altitude, altitude_m)
+
+        def height() -> float:
+            position = self._telemetry.position_enu
+            return -math.inf if position is None else float(position[2])
+
+        def climbing() -> bool:
+            return self._telemetry.mode is Mode.TAKEOFF or height() > LIFTED_M
+
+        def there() -> bool:
+            return self._telemetry.mode is dialect.ready and height() > dialect.takeoff_done * altitude_m
+
+        self._take_off(altitude_m, climbing)
+        if not self._until(there, TAKEOFF_S):
+            raise VehicleError(f"takeoff: not at {altitude_m:g} m and holding after {TAKEOFF_S:g} s")
+
+    def hear_mode(self) -> None:
+        self._until(lambda: self._clock.now - self._heartbeat_s <= MODE_NEWS_S, MODE_WAIT_S)
+
+    def close(self) -> None:
+        self._link.close()
+
+    # What back ends do in their own way.
+
+    @abstractmethod
+    def _meet(self) -> None:
+        """After the first HEARTBEAT: whatever the library needs, and asking for the dialect's rates."""
+
+    @abstractmethod
+    def _arm(self) -> None:
+        """Arm. Raises RefusedError."""
+
+    @abstractmethod
+    def _request_home(self) -> None:
+        """Ask for HOME_POSITION, once."""
+
+    @abstractmethod
+    def _take_off(self, altitude_m: float, climbing: Callable[[], bool]) -> None:
+        """Start climbing. Raises RefusedError."""
+
+    # Waiting.
+
+    def _await_heartbeat(self) -> None:
+        started = time.monotonic()
+        spoken = -math.inf
+        while self._known is None:
+            wall = time.monotonic()
+            if self._stranger is not None:
+                raise VehicleError(self._strange())
+            if wall - started > CONNECT_WALL_S:
+                raise SilentError(self._unheard())
+            if wall - spoken > BEAT_WALL_S:
+                self.beat()
+                spoken = wall
+            self._wait()
+        if self._link.counters["signed"] and self._link.signing is None:
+            raise VehicleError(
+                f"autopilot at {self._link.url} signs its frames (MAVLink 2 signing): give its key as signing_key"
+            )
+
+    def _strange(self) -> str:
+        enum = mavlink.enums["MAV_AUTOPILOT"]
+        name = enum[self._stranger].name if self._stranger in enum else f"MAV_AUTOPILOT {self._stranger}"
+        allowed = " or ".join(dialect.name for dialect in self._dialects.values())
+        return f"autopilot at {self._link.url} is {name}; we fly {allowed} (dialect)"
+
+    def _unheard(self) -> str:
+        counters = self._link.counters
+        silent = (
+            f"autopilot at {self._link.url} never answered (no HEARTBEAT of system {self._system_id} "
+            f"within {CONNECT_WALL_S:g} s)"
+        )
+        if counters["bad_signature"]:
+            return f"{silent}: {counters['bad_signature']} frames are signed with another key than signing_key's"
+        if counters["unsigned"]:
+            return f"{silent}: {counters['unsigned']} frames are not signed, as signing_key demands"
+        if counters["replayed"]:
+            return f"{silent}: the signatures of {counters['replayed']} frames are more than a minute old"
+        return silent
+
+    def _await_position(self) -> None:
+        """ArduCopter has none for half a minute after its start."""
+        started, ticked, wall = self._clock.now, self._clock.now, time.monotonic()
+        while self._telemetry.position_enu is None:
+            if self._clock.now > ticked:
+                ticked, wall = self._clock.now, time.monotonic()
+            if self._clock.now - started > ARMABLE_S or time.monotonic() - wall > CONNECT_WALL_S:
+                raise SilentError(f"autopilot at {self._link.url} gives no LOCAL_POSITION_NED")
+            self._wait()
+
+    def _until(self, done: Callable[[], bool], within_s: float) -> bool:
+        """Wait for `done` for up to `within_s` of vehicle time; whether it came."""
+        started = self._clock.now
+        while not done():
+            if self._clock.now - started > within_s:
+                return False
+            self._wait()
+        return True
+
+    def _since(self, heard: int) -> str:
+        texts = list(dict.fromkeys(self._texts[heard:]))
+        return ": " + "; ".join(texts) if texts else ""
+
+    # Taking in.
+
+    def _take(self, message: Any) -> None:  # noqa: ANN401  pymavlink has no types
+        match message.get_type():
+            case "HEARTBEAT":
+                self._take_heartbeat(message)
+            case "LOCAL_POSITION_NED":
+                local = np.array([message.x, message.y, message.z]) - self._home_ned
+                self._telemetry = replace(
+                    self._telemetry,
+                    time_s=message.time_boot_ms / 1000,
+                    position_enu=np.array(ned_to_enu(*local.tolist())),
+                    velocity_enu=np.array(ned_to_enu(message.vx, message.vy, message.vz)),
+                )
+            case "ATTITUDE":
+                attitude = (message.roll, message.pitch, yaw_ned_to_enu(message.yaw))
+                self._telemetry = replace(self._telemetry, attitude_rad=attitude)
+                if self._telemetry.position_enu is None:  # until then it is what tells the time
+                    self._telemetry = replace(self._telemetry, time_s=message.time_boot_ms / 1000)
+            case "EXTENDED_SYS_STATE":
+                landed = message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+                self._telemetry = replace(self._telemetry, landed=landed)
+            case "SYS_STATUS":
+                remaining = message.battery_remaining / 100 if message.battery_remaining >= 0 else None
+                armable = bool(message.onboard_control_sensors_health & PREARM)
+                self._telemetry = replace(
+                    self._telemetry, battery_remaining=remaining, armable=armable, unhealthy=_unhealthy(message)
+                )
+            case "AUTOPILOT_VERSION":
+                self._uid = bytes(message.uid2).hex() if any(message.uid2) else f"{message.uid:x}"
+            case "HOME_POSITION":
+                self._take_home(message)
+            case "STATUSTEXT":
+                self._take_text(message)
+
+    def _take_heartbeat(self, message: Any) -> None:  # noqa: ANN401
+        if self._known is None:
+            self._known = self._dialects.get(message.autopilot)
+        if self._known is None or message.autopilot != self._known.autopilot:
+            self._stranger = message.autopilot
+            self.counters["other_autopilot"] += 1
+            return
+        self._heartbeat_s = self._clock.now
+        unknown = (Mode.OTHER, f"custom mode {message.custom_mode:#x}")
+        mode, name = self._known.modes.get(message.custom_mode, unknown)
+        armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        self._telemetry = replace(self._telemetry, mode=mode, mode_name=name, armed=armed)
+
+    def _take_home(self, message: Any) -> None:  # noqa: ANN401
+        self._homes += 1
+        if self._home_held:
+            return
+        self._home_ned = np.array([message.x, message.y, message.z])
+        self._telemetry = replace(
+            self._telemetry,
+            home_lat_lon_alt=(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3),
+        )
+
+    def _take_text(self, message: Any) -> None:  # noqa: ANN401
+        """Texts longer than 50 characters come in chunks with one id."""
+        text = message.text
+        if message.id:
+            text = self._chunks.pop(message.id, "") + text
+            if len(message.text) == 50:
+                self._chunks[message.id] = text
+                return
+        self._texts.append(text.strip())
+
+
+def _unhealthy(message: Any) -> tuple[str, ...]:  # noqa: ANN401
+    """What of a SYS_STATUS is there, in use, and not well."""
+    bad = (
+        message.onboard_control_sensors_present
+        & message.onboard_control_sensors_enabled
+        & ~message.onboard_control_sensors_health
+    )
+    names = mavlink.enums["MAV_SYS_STATUS_SENSOR"]
+    return tuple(
+        names[1 << bit].name.removeprefix("MAV_SYS_STATUS_").removeprefix("SENSOR_").lower().replace("_", " ")
+        for bit in range(31)
+        if bad & 1 << bit and 1 << bit in names and 1 << bit != PREARM
+    )
