@@ -155,8 +155,8 @@ class Commander(Protocol):
 
     def set_home(self, position_ned: Vec3) -> None: ...
 
-    def hear_ground(self, system: int) -> None:
-        """A heartbeat of a ground station with this system id."""
+    def hear_ground(self, system: int, kind: int) -> None:
+        """A heartbeat of the system with this id, of a kind of MAV_TYPE: perhaps a ground station's."""
         ...
 
     def say(self, text: str, severity: int = INFO) -> None:

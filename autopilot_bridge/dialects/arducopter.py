@@ -15,7 +15,7 @@ from autopilot_bridge.dialects import Dialect, Need, OwnFence
 from autopilot_bridge.link import OWN_SYSTEM
 from autopilot_bridge.vehicle import Mode
 
-GUIDED, RTL, LAND, BRAKE = 4, 6, 9, 17
+GUIDED, LOITER, RTL, LAND, BRAKE = 4, 5, 6, 9, 17
 FENCE_TOP, FENCE_CIRCLE = 1, 2
 """Bits of FENCE_TYPE."""
 WITH_CIRCLE_AND_TOP = tuple(kinds for kinds in range(16) if kinds & FENCE_TOP and kinds & FENCE_CIRCLE)
@@ -40,7 +40,7 @@ ARDUCOPTER = Dialect(
         2: (Mode.OTHER, "ALT_HOLD"),
         3: (Mode.OTHER, "AUTO"),
         GUIDED: (Mode.OFFBOARD, "GUIDED"),
-        5: (Mode.OTHER, "LOITER"),  # by sticks: a pilot's
+        LOITER: (Mode.OTHER, "LOITER"),  # by sticks: a pilot's
         RTL: (Mode.RETURN, "RTL"),
         7: (Mode.OTHER, "CIRCLE"),
         LAND: (Mode.LAND, "LAND"),

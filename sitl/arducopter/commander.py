@@ -544,8 +544,8 @@ class Commander:
         self.say(f"Battery 1 is {kind} {self.battery.voltage:.2f}V used {used:.0f} mAh", CRITICAL)
         self._obey("Battery", failsafes.battery(level, self._p, self._situation()))
 
-    def hear_ground(self, system: int) -> None:
-        """A heartbeat of a ground station; only one of MAV_GCS_SYSID counts."""
+    def hear_ground(self, system: int, kind: int) -> None:
+        """A heartbeat; who has the id MAV_GCS_SYSID is the ground station, whatever `kind` it says."""
         if system != int(self._p["MAV_GCS_SYSID"]):
             return
         self._ground_ms = self.now_ms

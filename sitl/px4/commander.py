@@ -36,6 +36,8 @@ from sitl.stick_input import StickInput
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 
 BOOT = Timeline(telemetry_ms=500, heartbeat_ms=1000, position_ms=2000, home_ms=2400, armable_ms=4000)
+GROUND_STATION = 6
+"""MAV_TYPE_GCS."""
 DISARM_PREFLIGHT_EXTRA_S = 1.0
 """Auto-disarm without takeoff was seen at 11 s with COM_DISARM_PRFLT = 10."""
 
@@ -546,8 +548,10 @@ class Commander:
         """What is wrong and acted on; empty when nothing is."""
         return self._failsafe.cause if self._failsafe.action > Action.WARN else ""
 
-    def hear_ground(self, system: int) -> None:
-        """A heartbeat of a ground station."""
+    def hear_ground(self, system: int, kind: int) -> None:
+        """A heartbeat; one of a ground station keeps the connection alive, whatever its system id."""
+        if kind != GROUND_STATION:
+            return
         if self._ground_lost and self._ground_ms is not None:
             self.say("GCS connection regained")
         self._ground_ms = self.now_ms

@@ -141,7 +141,18 @@ def test_slots_of_mission_and_scenario_agree(mission):
         ("policy: {kind: genius}", ["policy.kind: 'genius'", "'random'"]),
         ("policy: {checkpoint: nobody}", ["policy.checkpoint: 'nobody'", ".safetensors"]),
         ("vehicle: {name: a b}", ["vehicle.name: 'a b'", "letters"]),
-        ("vehicle: {autopilot: 'tcp://1.2.3.4:5'}", ["vehicle.autopilot", "tcp", "'sitl'", "udpin://HOST:PORT"]),
+        (
+            "vehicle: {autopilot: 'usb://1.2.3.4:5'}",
+            ["vehicle.autopilot", "usb", "'sitl'", "udpin://HOST:PORT", "tcp://"],
+        ),
+        ("vehicle: {backend: mavsdk}", ["vehicle.backend: 'mavsdk'", "clock 'paced'", "not lockstep"]),
+        ("clock: paced\nspeed: 2\nvehicle: {backend: mavsdk}", ["vehicle.backend: 'mavsdk'", "at speed 1 at most"]),
+        (
+            "clock: paced\nvehicle: {backend: mavsdk, signing_key: key}",
+            ["vehicle.signing_key", "'mavsdk' cannot sign", "'pymavlink' can"],
+        ),
+        ("vehicle: {dialect: inav}", ["vehicle.dialect: 'inav'", "'auto'", "'px4'", "'arducopter'"]),
+        ("vehicle: {sitl: {personality: inav}}", ["vehicle.sitl.personality: 'inav'", "'px4'", "'arducopter'"]),
         (
             "clock: paced\nvehicle: {autopilot: 'udpin://127.0.0.1:1', sitl: {parameters: {A: 1}}}",
             ["vehicle.sitl", "'sitl'"],
