@@ -154,6 +154,8 @@ class BridgeConfig(Strict):
     """Failsafes of the autopilot that this flight stands on besides `REQUIRED`."""
     allow_without: tuple[Failsafe, ...] = ()
     """Failsafes that it may fly without."""
+    put_back: bool = True
+    """Whether parameters changed for the flight are put back after it; not for an autopilot that ends with it."""
     state_folder: Path | None = None
     """Where the journal of changed parameters lies; None: the user's ($XDG_STATE_HOME/aerialstar)."""
     autostart: bool = False

@@ -255,6 +255,15 @@ Fence = Annotated[
 ]
 
 
+def lowered(fence: Box | Polygon | Cylinder, ceiling_m: float) -> Box | Polygon | Cylinder:
+    """The fence, no higher than that above home; the ceiling must be above its floor."""
+    low, high = fence.altitude
+    if high <= ceiling_m:
+        return fence
+    altitude = (low, ceiling_m)
+    return fence.model_copy(update={"z" if isinstance(fence, Box) else "altitude": altitude})
+
+
 def outside_m(fence: Box | Polygon | Cylinder, position: NDArray[np.float64]) -> float:
     """How far outside a position (3,) is, sideways or vertically, whichever is more [m]; 0 inside."""
     low, high = fence.altitude

@@ -21,13 +21,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from airframe.slot_profile import Reference, SlotProfile, Vector, brake
+from autopilot_bridge import preflight
 from autopilot_bridge.clock import Clock
-from autopilot_bridge.config import BridgeConfig, Limits
+from autopilot_bridge.config import BridgeConfig
 from autopilot_bridge.deadman import SILENCE_WALL_S, Rung, Silence
 from autopilot_bridge.envelope import Envelope
-from autopilot_bridge.fence import Fence, outside_m
+from autopilot_bridge.fence import Fence, lowered, outside_m
+from autopilot_bridge.flight_parameters import FlightParameters
 from autopilot_bridge.ground import Ground
 from autopilot_bridge.link import LinkError
+from autopilot_bridge.parameter_journal import JournalError, ParameterJournal, journal_name, state_folder
 from autopilot_bridge.separation import Track
 from autopilot_bridge.slots import SAMPLE_S, Slots, vec3
 from autopilot_bridge.tracker import follow, heading_to, track
@@ -43,11 +46,11 @@ SETTLE_S = 20.0
 BREACH_M = 1.0
 """This far outside the fence the vehicle is sent home."""
 COME_DOWN_S = 900.0
+PUT_BACK_S = 5.0
+"""Vehicle time after the disarming in which the autopilot must say that it is on the ground."""
 DISARM_S = 10.0
 """Vehicle time on the ground after which we disarm if the autopilot has not."""
 LINK_BACK_WALL_S = 60.0
-TRACKING_HEADROOM = 1.25
-"""A vehicle that is behind its plan may be this much faster than plans are, if the autopilot lets it."""
 PEERS = ("agent", "rf")
 """Nodes without which no action comes."""
 TELLING = ("fence", "altitude", "home distance", "energy", "separation", "not finite")
@@ -82,10 +85,8 @@ class Flight:
         self._others = others
         self._vehicle = make_vehicle(self._step)
         self._phase = "connecting"
-        self._limits: Limits = config.limits
-        """The mission's, tightened to the autopilot's at preflight: plans keep them."""
-        self._tracking_limits: Limits = config.limits
-        """The envelope's: plans' with headroom, within the autopilot's."""
+        self._bounds = preflight.unbound(config)
+        self._parameters: FlightParameters | None = None
         self._started = config.autostart
         self._held = False
         """No actions are flown: by command, or because somebody else flies."""
@@ -114,12 +115,13 @@ class Flight:
         """The exit code. Never raises on account of vehicle, link or commands."""
         try:
             code = self._fly()
-        except (LinkError, VehicleError) as error:
+        except (LinkError, VehicleError, JournalError) as error:
             code = ERROR
             self._tell("error", str(error))
         except _End as end:
             code = end.code
             self._tell("error" if code == ERROR else "failsafe", str(end))
+        self._put_back()
         self._phase = "ended"
         self._publish_state()
         self._publish_health(final=True)
@@ -150,22 +152,65 @@ class Flight:
 
     def _preflight(self) -> None:
         self._enter("preflight")
-        vehicle, dialect = self._vehicle, self._vehicle.dialect
-        for name, value in self._config.parameters.items():
-            vehicle.set_parameter(name, value)
-            self._tell("parameter", f"{name} set to {value:g}")
-        theirs = {name: vehicle.parameter(limit) * unit for name, (limit, unit) in dialect.limits.items()}
-        self._limits = self._config.limits.within(**theirs)
-        headroom_mps = min(self._limits.horizontal_mps * TRACKING_HEADROOM, theirs["horizontal_mps"])
-        self._tracking_limits = self._limits.model_copy(update={"horizontal_mps": headroom_mps})
-        if self._limits != self._config.limits:
-            self._tell("limits", f"planning inside the autopilot's limits: {self._limits}")
-        for name, safe in dialect.failsafes.items():
-            found = vehicle.parameter(name)
-            if found not in safe:
-                vehicle.set_parameter(name, safe[0])
-                self._tell("parameter", f"{name} was {found:g}, which neither lands nor returns: set to {safe[0]:g}")
+        config, vehicle = self._config, self._vehicle
+        self._parameters = FlightParameters(vehicle, self._journal(), self._tell)
+        self._bounds = preflight.clear(config, vehicle, self._parameters, self._tell)
+        if not vehicle.telemetry.armable:
+            self._tell("preflight", f"waiting until it can be armed{self._unwell}")
         vehicle.await_armable()
+        if not vehicle.telemetry.armable:
+            self._tell("preflight", f"it cannot be armed{self._unwell}")
+        self._check_energy()
+
+    def _journal(self) -> ParameterJournal | None:
+        """Raises JournalError."""
+        config = self._config
+        if not config.put_back:
+            return None
+        name = journal_name(self._vehicle.hardware_uid, config.autopilot, config.system_id)
+        return ParameterJournal((config.state_folder or state_folder()) / name)
+
+    @property
+    def _unwell(self) -> str:
+        unhealthy = self._vehicle.telemetry.unhealthy
+        return f": not well: {', '.join(unhealthy)}" if unhealthy else ""
+
+    def _check_energy(self) -> None:
+        """Raises VehicleError when there is none to fly to the start position and home."""
+        endurance, battery = self._config.endurance, self._vehicle.telemetry.battery_remaining
+        if endurance is None:
+            return
+        if battery is None:
+            raise VehicleError("battery: the autopilot does not tell what remains of it, which `endurance` needs")
+        left_j, needed_j = endurance.left_j(battery), endurance.needed_j(np.array(self._config.start_position_enu))
+        if left_j < needed_j:
+            raise VehicleError(
+                f"battery: {left_j / 1e3:.1f} kJ are left, the way home from the start needs {needed_j / 1e3:.1f} kJ"
+            )
+
+    def _put_back(self) -> None:
+        """The parameters set for the flight, if the vehicle is down and heard."""
+        parameters = self._parameters
+        if parameters is None:
+            return
+        self._release()
+        self._expected = set()
+        with contextlib.closing(parameters):
+            until = self._clock.now + PUT_BACK_S
+            while parameters.outstanding:
+                try:
+                    while self.down and not self._vehicle.telemetry.landed and self._clock.now < until:
+                        self._step()
+                    if not (self.down and self._vehicle.telemetry.landed):
+                        parameters.leave("the vehicle is not on the ground and disarmed")
+                        return
+                    parameters.put_back()
+                    return
+                except _End:
+                    continue  # a command that came too late
+                except (LinkError, SilentError, JournalError) as error:
+                    parameters.leave(str(error))
+                    return
 
     def _await_start(self) -> None:
         self._enter("ready")
@@ -194,7 +239,7 @@ class Flight:
                 if self._slots is None:
                     self._transit()
                     self._slots = Slots(
-                        self._config, self._limits, self._clock.now, np.array(self._config.start_position_enu)
+                        self._config, self._bounds.limits, self._clock.now, np.array(self._config.start_position_enu)
                     )
                 self._guide = self._slots.reference
                 self._enter("slots")
@@ -210,7 +255,7 @@ class Flight:
         position, velocity = self._here()
         if self._slots is not None:
             self._slots.restart(self._clock.now, position, velocity)
-        self._follow(brake(position, velocity, self._limits.agility))
+        self._follow(brake(position, velocity, self._bounds.limits.agility))
         self._expected = {self._vehicle.telemetry.mode, Mode.OFFBOARD}
         until = self._clock.now + self._vehicle.dialect.stream_before_offboard_s
         while self._clock.now < until:
@@ -224,7 +269,7 @@ class Flight:
         goal = np.array(self._config.start_position_enu)
         while True:
             self._enter("transit")
-            way, left_s = Transit(self._here()[0], goal, self._limits), self._clock.now
+            way, left_s = Transit(self._here()[0], goal, self._bounds.limits), self._clock.now
             self._follow(way)
             while not self._held:
                 position, velocity = self._here()
@@ -239,7 +284,7 @@ class Flight:
                     raise VehicleError(f"start position {vec3(goal)} not reached: still at {_rounded(position)}")
                 self._step()
             self._enter("holding")
-            self._follow(brake(*self._here(), self._limits.agility))
+            self._follow(brake(*self._here(), self._bounds.limits.agility))
             while self._held:
                 self._step()
 
@@ -533,12 +578,12 @@ class Flight:
     @property
     def _envelope(self) -> Envelope:
         return Envelope(
-            self._tracking_limits,
+            self._bounds.tracking,
             self._fence,
             self._vehicle.dialect.reaction_s,
             self._config.tick_ms / 1000,
             self._vehicle.send_velocity,
-            self._config.home_distance_m,
+            self._bounds.home_distance_m,
             self._config.endurance,
             self._config.separation_m,
         )
@@ -551,7 +596,8 @@ class Flight:
 
     @property
     def _fence(self) -> Fence:
-        return self._config.flight_fence if self._slots is None else self._config.slot_fence
+        fence = self._config.flight_fence if self._slots is None else self._config.slot_fence
+        return lowered(fence, self._bounds.ceiling_m)
 
 
 def _rounded(position: Vector) -> str:

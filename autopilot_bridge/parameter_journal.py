@@ -28,10 +28,10 @@ class JournalError(RuntimeError):
 
 @dataclass(frozen=True)
 class Change:
-    """One parameter as it was, and as it was set."""
+    """One parameter as it was, and what it was set to since; a value may have been announced and never sent."""
 
     before: float
-    value: float
+    values: tuple[float, ...]
 
 
 def outstanding(text: str) -> dict[str, Change]:
@@ -50,8 +50,8 @@ def _apply(entry: dict[str, object], changes: dict[str, Change]) -> None:
         case {"set": str(name), "before": float() | int() as before, "value": float() | int() as value, **rest} if (
             not rest and math.isfinite(before) and math.isfinite(value)
         ):
-            first = changes.get(name)
-            changes[name] = Change(before if first is None else first.before, value)
+            first = changes.get(name, Change(before, ()))
+            changes[name] = Change(first.before, (*first.values, value))
         case {"settled": str(name), **rest} if not rest:
             changes.pop(name, None)
         case _:

@@ -214,6 +214,10 @@ def bridge(
     ] = None,
     tlog: Annotated[Path | None, typer.Option(metavar="FILE", help="MAVLink log to write.")] = None,
     autostart: Annotated[bool, typer.Option("--autostart", help="Fly without waiting for the start command.")] = False,
+    put_back: Annotated[
+        bool,
+        typer.Option("--put-back/--no-put-back", help="After the flight, parameters are what they were before it."),
+    ] = True,
 ) -> None:
     """Run the autopilot bridge alone: flies the vehicle through its slots and ends with the flight.
 
@@ -226,7 +230,7 @@ def bridge(
         with _on_the_bus(mission, vehicle, zenoh_config, connect, listen) as (loaded, session):
             from autopilot_bridge.node import run
 
-            config = bridge_config(loaded, autopilot=autopilot, control=control, autostart=autostart)
+            config = bridge_config(loaded, autopilot=autopilot, control=control, autostart=autostart, put_back=put_back)
             code = run(config, loaded.vehicle.name, session, tlog)
         raise typer.Exit(code)
 

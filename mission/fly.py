@@ -37,6 +37,8 @@ FAILSAFE_SPEED = 10.0
 """How fast the embedded autopilot flies its failsafe after a lockstep flight lost its bridge: nobody's clock runs."""
 START_RETRY_S = 0.2
 """Wall clock between two `start` commands, when the first was refused or not answered."""
+WITH_FAILSAFES = {"px4": {"COM_LOW_BAT_ACT": 3.0}, "arducopter": {"BATT_FS_LOW_ACT": 2.0}}
+"""What the embedded autopilot starts with besides its defaults, which leave a low battery to the pilot: it returns."""
 LOOP_NODES = ("bridge", "rf", "agent")
 BEFORE_START = ("connecting", "preflight", "ready", "ended")
 """The bridge's phases in which no `start` need have been obeyed."""
@@ -151,7 +153,7 @@ class _Flight:
         bridge_options: list[str] = []
         if mission.embedded:
             port = _free_udp_port()
-            bridge_options += ["--autopilot", f"udpin://127.0.0.1:{port}"]
+            bridge_options += ["--autopilot", f"udpin://127.0.0.1:{port}", "--no-put-back"]
             self._nodes["sitl"] = Node("sitl", self._sitl_command(port), logs)
         for name in ("rf", "agent"):
             self._nodes[name] = Node(name, python("mission", name, *common), logs)
@@ -166,10 +168,10 @@ class _Flight:
     def _sitl_command(self, companion_port: int) -> list[str]:
         mission = self._mission
         lockstep = mission.clock == "lockstep"
-        key = mission.vehicle.signing_key
+        key, played = mission.vehicle.signing_key, mission.vehicle.sitl
         return python(
             "sitl",
-            *("--personality", mission.vehicle.sitl.personality),
+            *("--personality", played.personality),
             *(("--signing-key", str(key)) if key is not None else ()),
             *("--companion-port", str(companion_port), "--companion-bind", "0", "--gcs-bind", "0"),
             *(("--lockstep", "--control-port", "0") if lockstep else ()),
@@ -178,7 +180,7 @@ class _Flight:
             *("--seed", str(mission.seed), "--system-id", str(mission.vehicle.system_id)),
             *(
                 part
-                for name, value in mission.vehicle.sitl.parameters.items()
+                for name, value in (WITH_FAILSAFES[played.personality] | played.parameters).items()
                 for part in ("--param", f"{name}={value:g}")
             ),
         )

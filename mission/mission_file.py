@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from agent.checkpoint import CheckpointError, read_metadata, require_fit
 from agent.policy import PolicyConfig
-from autopilot_bridge.config import BridgeConfig, Limits, LockstepClock, PacedClock
+from autopilot_bridge.config import BridgeConfig, Failsafe, Limits, LockstepClock, PacedClock
 from autopilot_bridge.energy import Endurance
 from autopilot_bridge.fence import Box, Cylinder, Fence, Polygon, Span, Vertices
 from autopilot_bridge.url import ALLOWED, EXAMPLE, parse_url
@@ -27,6 +27,8 @@ BRIDGE_FIELDS = {
     "signing_key": "vehicle.signing_key",
     "system_id": "vehicle.system_id",
     "parameters": "vehicle.parameters",
+    "require": "vehicle.require",
+    "allow_without": "vehicle.allow_without",
     "slot_s": "scenario.slot_s",
     "v_max_mps": "scenario.v_max_mps",
     "start_position_enu": "scenario.start_enu",
@@ -78,7 +80,11 @@ class VehicleSection(_Strict):
     """MAVLink 2 signing: a file of 32 bytes or 64 hexadecimal digits, read at the start."""
     system_id: Annotated[int, Field(ge=1, le=255)] = 1
     parameters: Parameters = {}
-    """Autopilot parameters that the bridge sets at preflight."""
+    """Autopilot parameters that the bridge sets for the flight."""
+    require: Annotated[tuple[Failsafe, ...], Field(strict=False)] = ()
+    """Failsafes of the autopilot that the mission relies on, besides the two without which none flies."""
+    allow_without: Annotated[tuple[Failsafe, ...], Field(strict=False)] = ()
+    """Failsafes that it may fly without."""
     sitl: Sitl = Sitl()
 
     @field_validator("name")
@@ -281,12 +287,17 @@ def dump(mission: Mission) -> str:
 
 
 def bridge_config(
-    mission: Mission, *, autopilot: str | None = None, control: str | None = None, autostart: bool = False
+    mission: Mission,
+    *,
+    autopilot: str | None = None,
+    control: str | None = None,
+    autostart: bool = False,
+    put_back: bool = True,
 ) -> BridgeConfig:
     """What the bridge node takes from a mission.
 
-    `autopilot` is the URL of the embedded one; `control` is its control socket (HOST:PORT), which lockstep needs.
-    Raises MissionError.
+    `autopilot` is the URL of the embedded one; `control` is its control socket (HOST:PORT), which lockstep needs;
+    `put_back` is false for an autopilot that ends with the flight. Raises MissionError.
     """
     scenario = mission.scenario
     x, y, z = scenario.box_enu
@@ -320,6 +331,9 @@ def bridge_config(
             await_restart=mission.restart == "once",
             at_end=mission.at_end,
             parameters=mission.vehicle.parameters,
+            require=mission.vehicle.require,
+            allow_without=mission.vehicle.allow_without,
+            put_back=put_back,
             autostart=autostart,
         )
     except ValidationError as error:

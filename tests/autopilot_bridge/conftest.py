@@ -27,8 +27,8 @@ def free_udp_port():
 class Sitl:
     """`python -m sitl` on free ports; ends with the test."""
 
-    def __init__(self, *options):
-        self.port = free_udp_port()
+    def __init__(self, *options, port=None):
+        self.port = port or free_udp_port()
         command = [sys.executable, "-m", "sitl", "--companion-port", str(self.port), "--companion-bind", "0"]
         command += ["--gcs-port", str(free_udp_port()), "--gcs-bind", "0", *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -146,13 +146,19 @@ class Flight:
         self.ground.close()
 
 
+@pytest.fixture(autouse=True)
+def own_state(monkeypatch, tmp_path):
+    """What bridges keep over their deaths stays in the test."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
 @pytest.fixture
 def sitl():
     """Start SITLs: `sitl("--lockstep")`."""
     with contextlib.ExitStack() as stack:
 
-        def start(*options):
-            started = Sitl(*options)
+        def start(*options, port=None):
+            started = Sitl(*options, port=port)
             stack.callback(started.close)
             return started
 
@@ -182,6 +188,7 @@ def short_flight(sitl, **changes):
         "start_position_enu": (0.0, 0.0, 12.0),
         "box": {"x": (-50, 50), "y": (-50, 50), "z": (8, 40)},
         "at_end": "land",
+        "allow_without": ["battery_failsafe"],  # both autopilots come without
         "autostart": True,
     }
     return BridgeConfig(**(config | changes))

@@ -46,7 +46,7 @@ def test_killed_anywhere_it_knows_what_was_before(tmp_path_factory, steps, cut):
     assert {
         name: vehicle[name] if name not in again.outstanding else again.outstanding[name].before for name in vehicle
     } == begun
-    assert all(again.outstanding[name].value == vehicle[name] for name in again.outstanding)
+    assert all(again.outstanding[name].values[-1] == vehicle[name] for name in again.outstanding)
     again.close()
     if seen:  # killed while the last line was written
         path.write_bytes(seen[-1][: len(seen[-1]) - cut % (len(seen[-1]) + 1)])
@@ -62,7 +62,7 @@ def test_the_file_is_empty_when_nothing_is_left(tmp_path):
     journal.changing("A", 0.0, 3.0)
     journal.changing("A", 3.0, 4.0)
     assert [json.loads(line)["before"] for line in path.read_text().splitlines()] == [0.0, 3.0]
-    assert journal.outstanding == {"A": Change(before=0.0, value=4.0)}
+    assert journal.outstanding == {"A": Change(0.0, (3.0, 4.0))}
     journal.settled("A")
     assert path.read_text() == ""
     journal.close()
@@ -108,7 +108,7 @@ time.sleep(60)
     process.wait()
     process.stdout.close()
     journal = ParameterJournal(path)
-    assert journal.outstanding == {"A": Change(0.0, 3.0)}
+    assert journal.outstanding == {"A": Change(0.0, (3.0,))}
     journal.close()
 
 
