@@ -207,7 +207,10 @@ def bridge(
     zenoh_config: ConfigOption = None,
     until_ended: UntilEndedOption = False,
     autopilot: Annotated[
-        str | None, typer.Option(metavar="URL", help="Where MAVLink comes in, udpin://HOST:PORT; else the mission's.")
+        str | None,
+        typer.Option(
+            metavar="URL", help="udpin://, udpout://, tcp://HOST:PORT or serial://DEVICE:BAUD; else the mission's."
+        ),
     ] = None,
     control: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="The SITL's control socket; lockstep needs it.")

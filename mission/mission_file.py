@@ -13,6 +13,7 @@ from agent.policy import PolicyConfig
 from autopilot_bridge.config import BridgeConfig, Failsafe, Limits, LockstepClock, PacedClock
 from autopilot_bridge.energy import Endurance
 from autopilot_bridge.fence import Box, Cylinder, Fence, Polygon, Span, Vertices
+from autopilot_bridge.signing import read_key
 from autopilot_bridge.url import ALLOWED, EXAMPLE, parse_url
 from mission.yaml_file import YamlError, read_mapping
 from rf_model.config_errors import one_line
@@ -103,6 +104,12 @@ class VehicleSection(_Strict):
             except ValueError:
                 raise ValueError(f"{autopilot!r} must be '{EMBEDDED}', {ALLOWED}, {EXAMPLE}") from None
         return autopilot
+
+    @model_validator(mode="after")
+    def _can_sign(self) -> Self:
+        if self.backend == "mavsdk" and self.signing_key is not None:
+            raise ValueError("signing_key: backend 'mavsdk' cannot sign, 'pymavlink' can")
+        return self
 
     @model_validator(mode="after")
     def _sitl_is_used(self) -> Self:
@@ -234,6 +241,9 @@ class Mission(_Strict):
             raise ValueError(f"clock: 'lockstep' needs vehicle.autopilot '{EMBEDDED}'; {autopilot!r} allows 'paced'")
         if self.clock == "lockstep" and self.speed != 1.0:
             raise ValueError(f"speed: {self.speed:g} is only allowed with clock 'paced', not 'lockstep'")
+        if self.vehicle.backend == "mavsdk" and (self.clock == "lockstep" or self.speed > 1.0):
+            given = "lockstep" if self.clock == "lockstep" else f"speed {self.speed:g}"
+            raise ValueError(f"vehicle.backend: 'mavsdk' needs clock 'paced' at speed 1 at most, not {given}")
         if self.speed > 1.0 and autopilot != EMBEDDED:
             raise ValueError(
                 f"speed: {self.speed:g} needs vehicle.autopilot '{EMBEDDED}'; {autopilot!r} allows 1 at most"
@@ -279,6 +289,11 @@ def check(mission: Mission) -> None:
         except CheckpointError as error:
             raise MissionError(f"policy.checkpoint: {error}") from error
     bridge_config(mission, control=ANY_CONTROL)
+    if mission.vehicle.signing_key is not None:
+        try:
+            read_key(mission.vehicle.signing_key)
+        except ValueError as error:
+            raise MissionError(f"vehicle.signing_key: {error}") from error
 
 
 def dump(mission: Mission) -> str:

@@ -196,12 +196,12 @@ def test_an_unknown_key_is_answered_with_the_known_ones_at_every_depth(mission):
                 yield from sections(field.annotation, [*place, name])
 
     for place, known in sections(Mission, []):
-        fields = {"wrong_key": 1}
+        fields = {"qqqq": 1}
         for name in reversed(place):
             fields = {name: fields}
         with pytest.raises(MissionError) as caught:
             load(mission(yaml.safe_dump(fields)))
-        assert f"{'.'.join([*place, 'wrong_key'])}: unknown key, allowed are {', '.join(known)}" in str(caught.value)
+        assert f"{'.'.join([*place, 'qqqq'])}: unknown key, allowed are {', '.join(known)}" in str(caught.value)
 
 
 def test_the_bridge_gets_what_the_mission_says(mission):
@@ -221,6 +221,21 @@ def test_the_bridge_gets_what_the_mission_says(mission):
     assert config.slot_fence.z == (27.0, 123.0)
     assert config.parameters == {"MPC_XY_VEL_MAX": 8}
     assert action_deadline_s(loaded) == 0.5
+
+
+def test_a_vehicle_of_another_make(mission):
+    text = "clock: paced\nvehicle: {autopilot: 'serial:///dev/ttyACM0:57600', backend: mavsdk, dialect: arducopter}"
+    config = bridge_config(load(mission(text)))
+    assert (config.autopilot, config.backend, config.dialect) == ("serial:///dev/ttyACM0:57600", "mavsdk", "arducopter")
+
+
+def test_a_signing_key_is_looked_at_before_anything_starts(mission, tmp_path):
+    loaded = load(mission(f"vehicle: {{signing_key: {tmp_path}/key}}"))
+    with pytest.raises(MissionError, match=r"vehicle.signing_key: .*/key: cannot be read"):
+        check(loaded)
+    (tmp_path / "key").write_bytes(bytes(range(32)))
+    check(loaded)
+    assert bridge_config(loaded, control="127.0.0.1:8").signing_key == tmp_path / "key"
 
 
 def test_lockstep_without_a_control_socket_is_refused(mission):
