@@ -113,9 +113,7 @@ class Envelope:
         if not np.array_equal(slower, wanted):
             reasons.append("speed")
 
-        change = slower - velocity
-        size, most = self.limits.time_to_change(change), RESPONSE_S
-        gentler = slower if size <= most else self.limit_speed(velocity + change * (most / size))
+        gentler = self.within_response(slower, velocity)
         if gentler is not slower:
             reasons.append("acceleration")
 
@@ -138,6 +136,12 @@ class Envelope:
                 theirs = np.array([other.position, self.stop(other.position, other.velocity)])[:, :2]
                 apart_m = self.separation_m + 2 * other.age_s * self.limits.horizontal_mps
                 yield "separation", own_side(own, theirs, apart_m)
+
+    def within_response(self, command: Vector, velocity: Vector) -> Vector:
+        """`command`, no further ahead of the `velocity` now than `RESPONSE_S` at the acceleration limit."""
+        change = command - velocity
+        needed_s = float(self.limits.time_to_change(change))
+        return command if needed_s <= RESPONSE_S else self.limit_speed(velocity + change * (RESPONSE_S / needed_s))
 
     def limit_speed(self, velocity: Vector) -> Vector:
         """`velocity`, shortened sideways and clipped vertically to the limits."""
@@ -172,7 +176,7 @@ class _Step:
         if blocked:
             target = np.zeros(3)
             if self._in_the_way(target):
-                return self._call_back(), tuple(told)
+                return self._envelope.within_response(self._call_back(), self._velocity), tuple(told)
         good, bad = 0.0, 1.0
         for _ in range(BISECTIONS):
             share = (good + bad) / 2
@@ -199,15 +203,13 @@ class _Step:
         envelope = self._envelope
         blocked: dict[str, Plan] = {}
         low, high = envelope.fence.altitude
-        ways = [_way(self._position, self._velocity, command, envelope, straight) for straight in (True, False)]
-        for way, stop in ways:
-            path = way[:, :2]
+        here = max(low - self._position[2], self._position[2] - high)
+        for way in _ways(self._position, self._velocity, command, envelope):
+            path, stop = way[:, :2], way[-1]
             for name, bound in self._bounds:
                 if name not in blocked and not self._kept(bound, path):
                     blocked[name] = bound.wall(path[-3:])
-            heights = way[:, 2]
-            over = max(low - heights.min(), heights.max() - high)
-            here = max(low - self._position[2], self._position[2] - high)
+            over = max(low - way[:, 2].min(), way[:, 2].max() - high)
             if over > TOUCH_M and (here <= TOUCH_M or max(low - stop[2], stop[2] - high) > here):
                 blocked["altitude"] = np.zeros(2)
             if envelope.endurance is not None and self._energy_j is not None and self._spends_too_much(stop):
@@ -217,7 +219,7 @@ class _Step:
     def _kept(self, bound: Bound, path: Plan) -> bool:
         if bound.holds(path):
             return True
-        here = bound.beyond_m(path[1:2])
+        here = bound.beyond_m(self._position[None, :2])
         return here > TOUCH_M and bound.beyond_m(path[-1:]) <= here  # on its way back
 
     def _spends_too_much(self, stop: Vector) -> bool:
@@ -246,26 +248,23 @@ def stopping_point(position: Vector, velocity: Vector, limits: Limits, reaction_
     return point
 
 
-def _way(
-    position: Vector, velocity: Vector, command: Vector, envelope: Envelope, straight: bool
-) -> tuple[Vector, Vector]:
-    """The corners of one step's way and the stop after it: (q, p, tangents' corner, q, p', stop), and stop again.
+def _ways(position: Vector, velocity: Vector, command: Vector, envelope: Envelope) -> Iterator[Vector]:
+    """Corners (n, 3) of what must lie inside, each ending with a stop: one step's way, for both kinds of vehicles.
 
-    `q` is where the velocity has reached `command`, or the step's end if that comes first. `straight`: the velocity
-    goes straight to the command; else level and vertical parts each as fast as they can.
+    In it q is where the velocity has reached `command`, or the step's end p' if that comes first. And the stop of a
+    vehicle that has reached `command` by p': real ones may be nearer to that than the acceleration limit says, and
+    commands become smaller towards a wall before they must.
     """
     limits, step_s = envelope.limits, envelope.step_s
     change = command - velocity
-    if straight:
-        needed_s = np.full(3, float(limits.time_to_change(change)))
-    else:
-        level_s = float(np.hypot(change[0], change[1])) / limits.acceleration_mps2
-        needed_s = np.array([level_s, level_s, abs(change[2]) / limits.vertical_mps2])
-    ramp_s = np.minimum(needed_s, step_s)
-    gained = change * np.where(needed_s > 0, ramp_s / np.maximum(needed_s, 1e-12), 0.0)
-    reached = velocity + gained
-    corner = position + velocity * (ramp_s / 2)
-    turned = position + (velocity + reached) * (ramp_s / 2)
-    after = turned + reached * (step_s - ramp_s)
-    stop = envelope.stop(after, reached)
-    return np.array([turned, position, corner, turned, after, stop]), stop
+    level_s = float(np.hypot(change[0], change[1])) / limits.acceleration_mps2
+    straight_s = np.full(3, float(limits.time_to_change(change)))
+    by_axes_s = np.array([level_s, level_s, abs(change[2]) / limits.vertical_mps2])
+    for needed_s in (straight_s, by_axes_s):
+        ramp_s = np.minimum(needed_s, step_s)
+        reached = velocity + change * np.where(needed_s > 0, ramp_s / np.maximum(needed_s, 1e-12), 0.0)
+        tangents_corner = position + velocity * (ramp_s / 2)
+        q = position + (velocity + reached) * (ramp_s / 2)
+        after = q + reached * (step_s - ramp_s)
+        yield np.array([q, position, tangents_corner, q, after, envelope.stop(after, reached)])
+    yield np.array([after, envelope.stop(after, command)])

@@ -216,7 +216,7 @@ class Polygon(Strict):
         """By the number of sides to the east of each point."""
         begins, ways = self._sides
         x, y = points[:, 0, None], points[:, 1, None]
-        ends = begins[:, 1] + ways[:, 1]
+        ends = np.roll(begins[:, 1], -1)  # not the sum with the way: rounding could put a corner on both sides
         astride = (begins[:, 1] > y) != (ends > y)
         with np.errstate(divide="ignore", invalid="ignore"):
             at = begins[:, 0] + (y - begins[:, 1]) / ways[:, 1] * ways[:, 0]

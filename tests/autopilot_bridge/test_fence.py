@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
@@ -163,6 +163,7 @@ def test_a_polygon_holds_a_line_that_begins_inside_and_crosses_no_side(vertices,
 
 
 @given(polygons, arrays(float, 2, elements=st.floats(-45, 45)), st.floats(0, 40))
+@example(((2, 0), (1, 1.7), (-2.5, 4.330127018922194), (-2, 2.5e-16), (-1, -1.7), (1, -1.7)), np.array([-8.0, 0]), 0.0)
 def test_how_far_outside(vertices, place, height):
     assume(distance_to_boundary(place, vertices) > 0.05)
     fence = Polygon(polygon=vertices, altitude=BAND)
