@@ -50,6 +50,16 @@ def test_an_empty_mapping_is_a_mission_of_defaults(mission):
             "limits": st.fixed_dictionaries(
                 {}, optional={"up_mps": st.floats(0.1, 9), "fence_sideways_m": st.floats(0, 1000)}
             ),
+            "fence": st.sampled_from(
+                [
+                    {"box": {"x": [-150, 150], "y": [-150, 150], "z": [20, 130]}},
+                    {"polygon": [[-150, -150], [150, -150], [160, 160], [0, 120], [-150, 150]], "altitude": [20, 130]},
+                    {"cylinder": {"centre": [0, 0], "radius": 150, "altitude": [20, 130]}},
+                ]
+            ),
+            "energy": st.just({"pack_wh": 74, "margin": 0.5}),
+            "tracking": st.sampled_from(["position", "none"]),
+            "yaw": st.sampled_from(["panel", "face_users"]),
             "restart": st.sampled_from(["once", "never"]),
             "record": st.just({"tlog": False}),
             "at_end": st.sampled_from(["return", "land"]),
@@ -246,3 +256,70 @@ def test_lockstep_without_a_control_socket_is_refused(mission):
 def test_options_replace_fields_and_none_leaves_them(mission):
     loaded = load(mission("seed: 3\nslots: 4"), seed=None, slots=8, vehicle_name="other")
     assert (loaded.seed, loaded.slots, loaded.vehicle.name) == (3, 8, "other")
+
+
+SQUARE = "[[-150, -150], [150, -150], [150, 150], [-150, 150]]"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("fence: {}", ["fence.box: one of box, polygon, cylinder must be given, not none"]),
+        (
+            f"fence: {{polygon: {SQUARE}, cylinder: {{centre: [0, 0], radius: 9, altitude: [2, 9]}}}}",
+            ["one of box, polygon, cylinder must be given, not polygon and cylinder"],
+        ),
+        (f"fence: {{polygon: {SQUARE}}}", ["fence.altitude: must be given with polygon"]),
+        (f"fence: {{polygon: {SQUARE}, altitude: [130, 20]}}", ["fence.altitude", "minimum must be below the maximum"]),
+        ("fence: {polygon: [[0, 0], [9, 9], [9, 0], [0, 9]], altitude: [20, 130]}", ["fence.polygon", "must not meet"]),
+        ("fence: {polygon: [[0, 0], [9, '9']], altitude: [20, 130]}", ["fence.polygon"]),
+        ("fence: {cylinder: {centre: [0, 0], radius: -1, altitude: [20, 130]}}", ["fence.cylinder.radius: -1"]),
+        ("fence: {cylinder: {center: [0, 0]}}", ["fence.cylinder.center: unknown key, did you mean centre?"]),
+        ("fence: {box: {x: ['1', 2], y: [0, 1], z: [0, 1]}}", ["fence.box.x.0: '1'", "number"]),
+        (
+            "fence: {box: {x: [0, 150], y: [-150, 150], z: [0, 130]}}",
+            ["fence.x: (0, 150) must hold the box's (-100, 100)"],
+        ),
+        (
+            "fence: {cylinder: {centre: [0, 0], radius: 120, altitude: [20, 130]}}",
+            ["fence: must hold the box's (-100, 100) x (-100, 100)"],
+        ),
+        (
+            "fence: {cylinder: {centre: [0, 0], radius: 150, altitude: [40, 130]}}",
+            ["fence.altitude: (40, 130) must hold the box's (30, 120)"],
+        ),
+        ("limits: {home_distance_m: 100}", ["limits.home_distance_m: 100 is less than the 141.4 to the box's corners"]),
+        ("limits: {jerk_mps3: 0}", ["limits.jerk_mps3: 0"]),
+        ("energy: {margin: 0.1}", ["energy.pack_wh: missing"]),
+        ("energy: {pack_wh: -3}", ["energy.pack_wh: -3"]),
+        ("tracking: open", ["tracking: 'open'", "'none'"]),
+        ("yaw: north", ["yaw: 'north'", "'face_users'"]),
+    ],
+)
+def test_a_fence_that_cannot_be_and_its_like_are_told_by_field(mission, text, parts):
+    with pytest.raises(MissionError) as told:
+        check(load(mission(text)))
+    assert "\n" not in str(told.value)
+    for part in parts:
+        assert part in str(told.value)
+
+
+def test_what_the_mission_says_of_fence_energy_yaw_and_tracking_reaches_the_bridge(mission):
+    text = f"""
+        fence: {{polygon: {SQUARE}, altitude: [20, 130]}}
+        energy: {{pack_wh: 74, margin: 0.5}}
+        limits: {{home_distance_m: 145, separation_m: 8, jerk_mps3: 10, vertical_acceleration_mps2: 2}}
+        tracking: none
+        yaw: face_users
+        """
+    loaded = load(mission(text))
+    config = bridge_config(loaded, control="127.0.0.1:1")
+    assert config.slot_fence.altitude == (20, 130)
+    assert config.slot_fence.polygon[2] == (150, 150)
+    assert config.flight_fence.altitude == (-1, 130)
+    assert config.endurance.pack_j == 74 * 3600
+    assert config.endurance.wing == loaded.scenario.wing
+    assert (config.home_distance_m, config.separation_m, config.tracking) == (145, 8, "none")
+    assert (config.limits.jerk_mps3, config.limits.vertical_mps2) == (10, 2)
+    assert config.face_enu == loaded.scenario.user_centre_enu
+    assert bridge_config(load(mission("{}")), control="127.0.0.1:1").face_enu is None
