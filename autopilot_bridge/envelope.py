@@ -6,9 +6,10 @@ altitude band, distance to home, the energy to return, its side of the gap to ev
 
 These are kept by looking one step ahead with the vehicle's stop as a backup. A state is *safe* when the vehicle,
 reacting after `reaction_s` and then braking straight at the acceleration limit, stops inside, and its whole way there
-lies inside. A command is let through when the state that it leads to in one step is safe, and so is that step's way.
-Else what is in the way is taken out of it, the part against the wall first, so that the vehicle slides along, then as
-little of the whole as is needed. Zero, which is braking, always leads from a safe state to a safe one: its way, and
+lies inside. A command is let through when the state that it leads to in one step is safe, and so is that step's way,
+and a vehicle that had reached the command by then could stop inside too: so commands shrink towards a wall and do not
+jump. Else what is in the way is taken out, the part against the wall first, so that the vehicle slides along, then
+as little of the whole as is needed. Zero, which is braking, always leads from a safe state to a safe one: its way, and
 the stop after it, are parts of the stop that was safe before, and a shape that holds a line, convex or not, holds its
 parts.
 
