@@ -25,6 +25,7 @@ from autopilot_bridge import preflight
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig
 from autopilot_bridge.deadman import SILENCE_WALL_S, Rung, Silence
+from autopilot_bridge.energy import Endurance
 from autopilot_bridge.envelope import Envelope
 from autopilot_bridge.fence import Fence, lowered, outside_m
 from autopilot_bridge.flight_parameters import FlightParameters
@@ -182,7 +183,7 @@ class Flight:
             return
         if battery is None:
             raise VehicleError("battery: the autopilot does not tell what remains of it, which `endurance` needs")
-        left_j, needed_j = endurance.left_j(battery), endurance.needed_j(np.array(self._config.start_position_enu))
+        left_j, needed_j = self._left_j(endurance), endurance.needed_j(np.array(self._config.start_position_enu))
         if left_j < needed_j:
             raise VehicleError(
                 f"battery: {left_j / 1e3:.1f} kJ are left, the way home from the start needs {needed_j / 1e3:.1f} kJ"
@@ -418,7 +419,7 @@ class Flight:
         if outside_m(self._fence, position) > BREACH_M:
             raise _End(Mode.RETURN, FAILSAFE, f"outside the fence at {_rounded(position)}")
         if self._config.endurance is not None:
-            left_j = self._config.endurance.left_j(telemetry.battery_remaining)
+            left_j = self._left_j(self._config.endurance)
             needed_j = self._config.endurance.needed_j(self._envelope.stop(position, velocity))
             if left_j < needed_j:
                 raise _End(
@@ -484,8 +485,8 @@ class Flight:
             wanted = follow(reference)
         else:
             wanted = track(reference, position, self._vehicle.dialect.lead_s)
-        endurance, battery = self._config.endurance, self._vehicle.telemetry.battery_remaining
-        energy_j = None if endurance is None else endurance.left_j(battery)
+        endurance = self._config.endurance
+        energy_j = None if endurance is None else self._left_j(endurance)
         sent = self._envelope.send(wanted, self._heading(position), position, velocity, self._others(), energy_j)
         self._counters["setpoints"] += 1
         for reason in sent.reasons:
@@ -569,6 +570,11 @@ class Flight:
     def _here(self) -> tuple[Vector, Vector]:
         """Position and velocity now. Raises VehicleError when there is none."""
         return self._vehicle.telemetry.at(self._clock.now)
+
+    def _left_j(self, endurance: Endurance) -> float:
+        """What the battery holds [J] before the autopilot comes down by itself."""
+        battery = self._vehicle.telemetry.battery_remaining
+        return endurance.left_j(None if battery is None else battery - self._bounds.battery_reserve)
 
     def _follow(self, way: SlotProfile | Transit) -> None:
         """Track `way`, which starts now."""

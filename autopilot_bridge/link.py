@@ -15,6 +15,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot_bridge.config import endpoint
+from autopilot_bridge.roll_call import RollCall
 from autopilot_bridge.signing import Signing, is_signed
 from autopilot_bridge.url import parse_url
 from autopilot_bridge.wire import Sender, WireError, frames, open_wire
@@ -63,7 +64,7 @@ class Link:
         self.counters: Counter[str] = Counter()
         self.datagrams = 0
         """Datagrams received (frames, on a stream); in lockstep the SITL says how many to expect."""
-        self._system_id = system_id
+        self.roll_call = RollCall(system_id)
         self._tamper_in, self._tamper_out = tamper_in, tamper_out
         self._codec: Any = mavlink.MAVLink(
             None, srcSystem=OWN_SYSTEM, srcComponent=mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
@@ -146,9 +147,7 @@ class Link:
             if refusal:
                 self.counters[refusal] += 1
                 continue
-            if message.get_srcSystem() != self._system_id or (
-                message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1
-            ):
+            if not self.roll_call.hear(message, sender):
                 self.counters["foreign"] += 1
                 continue
             self.counters["signed"] += is_signed(frame)

@@ -25,6 +25,8 @@ CONNECT_WALL_S = 5.0
 BEAT_WALL_S = 0.5
 """How often we speak to an autopilot that must hear us before it answers."""
 ARMABLE_S = 60.0
+ROLL_CALL_S = 1.5
+"""After so long another autopilot on the link must have been heard: they beat once a second."""
 TAKEOFF_S = 60.0
 LIFTED_M = 0.5
 """So high a vehicle is on its way up."""
@@ -59,6 +61,8 @@ class MavlinkVehicle(Vehicle):
         self._home_ned: Vector = np.zeros(3)
         self._home_held = False
         self._homes = 0
+        self._met_s = 0.0
+        """Vehicle time since which everybody on the link is listened to."""
         self._heartbeat_s = -math.inf
         """Vehicle time of the last one."""
         self._heard = 0
@@ -103,6 +107,8 @@ class MavlinkVehicle(Vehicle):
         self._await_heartbeat()
         self._meet()
         self._await_position()
+        self._identify()
+        self._met_s = self._clock.now
         self._link.stamp_by(lambda: self._clock.now)
 
     def await_armable(self) -> None:
@@ -111,8 +117,13 @@ class MavlinkVehicle(Vehicle):
             with contextlib.suppress(RefusedError):
                 self.set_mode(ready)
         armable = self._until(lambda: self._telemetry.armable and self._homes > 0, ARMABLE_S)
-        if not self._homes:
-            raise VehicleError(f"autopilot at {self._link.url}: no HOME_POSITION within {ARMABLE_S:g} s")
+        self._until(lambda: self._clock.now - self._met_s >= ROLL_CALL_S, ROLL_CALL_S)
+        self._require_alone()
+        home = self._telemetry.home_lat_lon_alt
+        if home is None or home[:2] == (0.0, 0.0):
+            raise VehicleError(
+                f"autopilot at {self._link.url}: no GPS origin (no HOME_POSITION within {ARMABLE_S:g} s)"
+            )
         if armable and self._telemetry.mode is not ready:  # ArduCopter leaves it when its start is done
             self.set_mode(ready)
 
@@ -154,6 +165,9 @@ class MavlinkVehicle(Vehicle):
     def _meet(self) -> None:
         """After the first HEARTBEAT: whatever the library needs, and asking for the dialect's rates."""
 
+    def _identify(self) -> None:
+        """Ask for AUTOPILOT_VERSION, where the library does not by itself; vehicle time goes on by now."""
+
     @abstractmethod
     def _arm(self) -> None:
         """Arm. Raises RefusedError."""
@@ -185,6 +199,7 @@ class MavlinkVehicle(Vehicle):
             raise VehicleError(
                 f"autopilot at {self._link.url} signs its frames (MAVLink 2 signing): give its key as signing_key"
             )
+        self._require_alone()
 
     def _strange(self) -> str:
         enum = mavlink.enums["MAV_AUTOPILOT"]
@@ -204,7 +219,14 @@ class MavlinkVehicle(Vehicle):
             return f"{silent}: {counters['unsigned']} frames are not signed, as signing_key demands"
         if counters["replayed"]:
             return f"{silent}: the signatures of {counters['replayed']} frames are more than a minute old"
-        return silent
+        others = self._link.roll_call.others()
+        return f"{silent}; heard: {others}" if others else silent
+
+    def _require_alone(self) -> None:
+        """Raises VehicleError when it is no multicopter, or not the only one on the link."""
+        objection = self._link.roll_call.objection()
+        if objection:
+            raise VehicleError(f"autopilot at {self._link.url}: {objection}")
 
     def _await_position(self) -> None:
         """ArduCopter has none for half a minute after its start."""
@@ -213,7 +235,7 @@ class MavlinkVehicle(Vehicle):
             if self._clock.now > ticked:
                 ticked, wall = self._clock.now, time.monotonic()
             if self._clock.now - started > ARMABLE_S or time.monotonic() - wall > CONNECT_WALL_S:
-                raise SilentError(f"autopilot at {self._link.url} gives no LOCAL_POSITION_NED")
+                raise SilentError(f"autopilot at {self._link.url} gives no LOCAL_POSITION_NED: it has no position")
             self._wait()
 
     def _until(self, done: Callable[[], bool], within_s: float) -> bool:

@@ -34,11 +34,13 @@ class Bounds:
     home_distance_m: float | None
     ceiling_m: float
     """Above home; infinity: the fence's alone."""
+    battery_reserve: float
+    """The share of the pack that is the autopilot's: there it comes down by itself."""
 
 
 def unbound(config: BridgeConfig) -> Bounds:
     """The mission's own, as long as the autopilot's are not known."""
-    return Bounds(config.limits, config.limits, config.home_distance_m, math.inf)
+    return Bounds(config.limits, config.limits, config.home_distance_m, math.inf, 0.0)
 
 
 def clear(config: BridgeConfig, vehicle: Vehicle, parameters: FlightParameters, tell: Tell) -> Bounds:
@@ -115,6 +117,7 @@ def _bounds(config: BridgeConfig, vehicle: Vehicle) -> Bounds:
         tracking=limits.model_copy(update={"horizontal_mps": headroom_mps}),
         home_distance_m=None if math.isinf(home_m) else home_m,
         ceiling_m=fence.height_m - KEEP_OFF_M,
+        battery_reserve=0.0 if config.endurance is None else dialect.battery_acts_at(vehicle.parameter),
     )
 
 

@@ -100,10 +100,12 @@ class PymavlinkVehicle(MavlinkVehicle):
         for message_id, rate_hz in self.dialect.rates_hz.items():
             self._send_command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
             self._wait()
+
+    def _identify(self) -> None:
         for _ in range(TRIES):
             self._send_command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
             if self._until(lambda: bool(self.hardware_uid), RETRY_S):
-                break
+                return
 
     def _arm(self) -> None:
         self._command("arm", lambda: self._telemetry.armed, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)

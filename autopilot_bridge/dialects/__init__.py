@@ -73,6 +73,8 @@ class Dialect:
     """The parameter of the steepest tilt, and its unit [deg]."""
     own_fence: Callable[[Callable[[str], float]], OwnFence]
     """Reads the autopilot's fence, given what reads a parameter."""
+    battery_acts_at: Callable[[Callable[[str], float]], float]
+    """Reads the share of the pack at which the autopilot brings the vehicle down by itself; 0: never."""
     fence_parameters: tuple[str, str]
     """Of its radius and its height."""
     int_bytewise: bool

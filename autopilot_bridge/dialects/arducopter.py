@@ -31,6 +31,13 @@ def _own_fence(parameter: Callable[[str], float]) -> OwnFence:
     )
 
 
+def _battery_acts_at(parameter: Callable[[str], float]) -> float:
+    """By charge; at which share BATT_LOW_VOLT acts nobody can say."""
+    if not parameter("BATT_FS_LOW_ACT"):
+        return 0.0
+    return min(parameter("BATT_LOW_MAH") / max(parameter("BATT_CAPACITY"), 1.0), 1.0)
+
+
 ARDUCOPTER = Dialect(
     name="arducopter",
     autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
@@ -87,6 +94,7 @@ ARDUCOPTER = Dialect(
     },
     tilt_max=("ANGLE_MAX", 0.01),
     own_fence=_own_fence,
+    battery_acts_at=_battery_acts_at,
     fence_parameters=("FENCE_RADIUS", "FENCE_ALT_MAX"),
     int_bytewise=False,
 )

@@ -22,6 +22,10 @@ def _own_fence(parameter: Callable[[str], float]) -> OwnFence:
     return OwnFence(parameter("GF_MAX_HOR_DIST") or math.inf, parameter("GF_MAX_VER_DIST") or math.inf)
 
 
+def _battery_acts_at(parameter: Callable[[str], float]) -> float:
+    return parameter("BAT_CRIT_THR") if parameter("COM_LOW_BAT_ACT") else 0.0
+
+
 PX4 = Dialect(
     name="px4",
     autopilot=mavlink.MAV_AUTOPILOT_PX4,
@@ -80,6 +84,7 @@ PX4 = Dialect(
     },
     tilt_max=("MPC_TILTMAX_AIR", 1.0),
     own_fence=_own_fence,
+    battery_acts_at=_battery_acts_at,
     fence_parameters=("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"),
     int_bytewise=True,
 )

@@ -42,6 +42,8 @@ def test_the_default_fence_is_the_box_and_a_margin():
         ({"box": {"x": (1, 1), "y": (0, 1), "z": (0, 1)}}, "minimum must be below"),
         ({"fence": {"x": (-100, 100), "y": (-100, 100), "z": (40, 120)}}, "fence.z"),
         ({"grace": 3}, "grace"),
+        ({"require": ["geofence"], "allow_without": ["geofence"]}, "allow_without: 'geofence' is also in require"),
+        ({"allow_without": ["parachute"]}, "battery_failsafe"),
     ],
 )
 def test_bad_input_is_named(change, told):

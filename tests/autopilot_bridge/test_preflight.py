@@ -161,7 +161,7 @@ def test_a_journal_that_cannot_be_written_forbids_the_flight(sitl, fly, bridge_c
     assert "arming" not in flight.phases
 
 
-PX4, COPTER = (), ("--personality", "arducopter")
+PX4, COPTER = (), ("--personality", "arducopter", "--tcp-port", "0")
 
 
 @pytest.mark.parametrize(
@@ -185,6 +185,14 @@ PX4, COPTER = (), ("--personality", "arducopter")
         (PX4, {"parameters": {"GF_MAX_VER_DIST": 41}}, "box: its top is 40 m above home"),
         (PX4, {"parameters": {"NO_SUCH": 1}}, "parameter NO_SUCH: unknown to the autopilot"),
         (PX4, {"parameters": {"COM_OBL_RC_ACT": 3.5}}, "parameter COM_OBL_RC_ACT: 3.5 is not a whole number"),
+        (
+            PX4,  # enough for the way home, 12.8 kJ, but not above the half at which the autopilot lands
+            {
+                "parameters": {"COM_LOW_BAT_ACT": 2, "BAT_LOW_THR": 0.5, "BAT_CRIT_THR": 0.5},
+                "endurance": {"pack_j": 16e3},
+            },
+            "battery: 8.0 kJ are left, the way home from the start needs 12.8 kJ",
+        ),
         (COPTER, {"allow_without": []}, "battery_failsafe is off: BATT_FS_LOW_ACT is 0, must be 1, 2, 3, 4 or 6"),
         (COPTER, {"require": ["geofence"]}, "geofence is off: FENCE_ENABLE is 0, must be 1"),
         (
