@@ -15,10 +15,11 @@ import json
 import math
 import struct
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cache, partial
 from typing import TypeVar
 
 from mavsdk import mavsdk
@@ -41,6 +42,8 @@ from autopilot_bridge.vehicle import Mode, RefusedError, VehicleError
 DISCOVERY_WALL_S = 5.0
 SETPOINT_WALL_S = 0.02
 """MAVSDK's thread hands a setpoint over within 0.3 ms; we do not wait for ever."""
+STALE_WALL_S = 1.0
+"""What has waited for so long while our loop stood still is no longer ours to ask for; MAVSDK repeats what it needs."""
 VELOCITY = slice(10 + 16, 10 + 28)
 """Where vx, vy, vz lie in a frame of SET_POSITION_TARGET_LOCAL_NED."""
 UNANSWERED = ("TIMEOUT", "BUSY", "NO_SYSTEM", "CONNECTION_ERROR", "UNKNOWN")
@@ -55,7 +58,8 @@ class MavsdkVehicle(MavlinkVehicle):
         self, link: Link, dialects: dict[int, Dialect], system_id: int, clock: Clock, wait: Callable[[], None]
     ) -> None:
         super().__init__(link, dialects, system_id, clock, wait)
-        self._outbox: deque[bytes] = deque()
+        self._outbox: deque[tuple[float, bytes]] = deque()
+        """What MAVSDK wants to send, and since when (wall clock)."""
         self._wanted: bytes | None = None
         """The velocity that we have asked for and not yet sent, as in its frame."""
         self._wanted_once = False
@@ -64,7 +68,7 @@ class MavsdkVehicle(MavlinkVehicle):
         self._calls = ThreadPoolExecutor(max_workers=4, thread_name_prefix="mavsdk")
         self._whole: set[str] = set()
         """Parameters that are whole numbers."""
-        log_subscribe(lambda *_: True)  # it would write on our standard output what the bus is told anyway
+        _silence()
         own = mavsdk.Configuration.create_manual(OWN_SYSTEM, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, True)
         self._client = mavsdk.Mavsdk(own)
         self._client.subscribe_raw_bytes_to_be_sent(self._hand_over)
@@ -204,19 +208,31 @@ class MavsdkVehicle(MavlinkVehicle):
     # The wire. `_hand_over` is called on MAVSDK's threads.
 
     def _hand_over(self, frame: bytes) -> None:
-        self._outbox.append(frame)
+        self._outbox.append((time.monotonic(), frame))
         if _message_id(frame) == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
             self._handed_over.set()
 
     def _flush(self) -> None:
         while self._outbox:
-            frame = self._outbox.popleft()
+            since, frame = self._outbox.popleft()
+            if time.monotonic() - since > STALE_WALL_S:
+                self.counters["stale_dropped"] += 1
+                continue
             if _message_id(frame) == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
                 if frame[VELOCITY] != self._wanted:
                     self.counters["repeats_dropped"] += 1
                     continue
                 self._wanted, self._wanted_once = None, True
             self._link.send_frame(frame)
+
+
+@cache
+def _silence() -> None:
+    """Keep MAVSDK from writing on our standard output what the bus is told anyway.
+
+    Once a process: to subscribe anew would free the callback that a thread of MAVSDK may be in.
+    """
+    log_subscribe(lambda *_: True)
 
 
 def _message_id(frame: bytes) -> int:

@@ -41,11 +41,16 @@ def _fly(config: BridgeConfig, ground: Ground, link: Link, served: contextlib.Ex
     """Alive on the bus only once a flight is there to take commands."""
     clock = _clock(config)
     ground.now = lambda: clock.now
-    flight = Flight(config, ground, clock, lambda wait: _vehicle(config, link, clock, wait))
-    served.enter_context(ground.served())
-    code = flight.run()
-    with contextlib.suppress(LinkError):  # a SITL that is gone needs no farewell
-        clock.close(over=flight.down)
+    with contextlib.ExitStack() as owned:
+
+        def make_vehicle(wait: Callable[[], None]) -> MavlinkVehicle:
+            return owned.enter_context(contextlib.closing(_vehicle(config, link, clock, wait)))
+
+        flight = Flight(config, ground, clock, make_vehicle)
+        served.enter_context(ground.served())
+        code = flight.run()
+        with contextlib.suppress(LinkError):  # a SITL that is gone needs no farewell
+            clock.close(over=flight.down)
     return code
 
 

@@ -75,6 +75,12 @@ def test_over_tcp(fly):
         assert not flight.states[-1].armed
 
 
+def test_the_wrong_dialect_is_told(sitl, fly, bridge_config):
+    flight = fly(bridge_config(sitl("--lockstep", *ARDU), dialect="px4"))
+    assert flight.wait() == 1
+    assert "is MAV_AUTOPILOT_ARDUPILOTMEGA; we fly px4 (dialect)" in flight.told("error")[0]
+
+
 @pytest.fixture
 def hovering(sitl):
     """A vehicle in GUIDED at 10 m, as preflight leaves it, in lockstep."""

@@ -1,0 +1,59 @@
+"""A whole flight by MAVSDK, at the wall clock's pace since it knows no other; all pairs: test_vehicle_contract.py."""
+
+import time
+
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mavlink
+
+from autopilot_bridge.clock import Paced
+from autopilot_bridge.dialects.known import dialects
+from autopilot_bridge.link import Link
+from autopilot_bridge.mavsdk_vehicle import MavsdkVehicle
+
+
+def test_a_flight_by_mavsdk(sitl, fly, bridge_config, tmp_path):
+    tlog = tmp_path / "flight.tlog"
+    config = bridge_config(
+        sitl("--param", "COM_OF_LOSS_T=3"),  # so that a busy machine's stalls do not pass for a lost stream
+        backend="mavsdk",
+        slots=3,
+        start_position_enu=(0.0, 0.0, 6.0),
+        box={"x": (-50, 50), "y": (-50, 50), "z": (4, 40)},
+        takeoff_altitude_m=5.0,
+    )
+    flight = fly(config, lambda opened: (2.0, 0.0, 0.0) if opened.slot != 1 else None, tlog)
+    assert flight.wait() == 0
+    assert [flown.outcome for flown in flight.flown if flown.slot != 1] == ["flown", "flown"]
+    assert flight.flown[1].outcome == "missing"
+    assert flight.flown[0].flown_enu[0] > 0.8
+    assert not flight.states[-1].armed
+
+    log, setpoints, heard = mavutil.mavlink_connection(str(tlog), notimestamps=False), [], []
+    while (message := log.recv_match()) is not None:
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+            setpoints.append(message)
+            assert (message.get_srcSystem(), message.get_srcComponent()) == (245, 191)
+            assert (message.type_mask, message.coordinate_frame) == (2503, 1)
+        elif message.get_type() == "HEARTBEAT" and message.get_srcSystem() == 1:
+            heard.append(message._timestamp)
+    streamed_s = setpoints[-1]._timestamp - setpoints[0]._timestamp
+    assert 0.7 * 20 * streamed_s < len(setpoints) < 1.1 * 20 * streamed_s + 2  # ours: one per step, no repeats
+    assert heard[-1] - setpoints[-1]._timestamp > 5.0  # and none while it lands
+
+
+def test_what_waited_while_our_loop_stood_still_is_not_sent_late():
+    sent = []
+    link = Link("udpin://127.0.0.1:0", 1, tamper_out=lambda frame: sent.append(frame) or ())
+    clock = Paced(1.0, 50)
+    vehicle = MavsdkVehicle(link, dialects("auto"), 1, clock, lambda: clock.step(vehicle))
+    vehicle.poll(0.0)
+    sent.clear()
+    deadline = time.monotonic() + 10.0
+    while len(vehicle._outbox) < 3:  # MAVSDK's heartbeats, one a second
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    vehicle.poll(0.0)
+    vehicle.close()
+    assert vehicle.counters["stale_dropped"] >= 1
+    assert len(sent) <= 2
+    assert all(frame[7:10] == bytes([mavlink.MAVLINK_MSG_ID_HEARTBEAT, 0, 0]) for frame in sent)
