@@ -344,7 +344,7 @@ def test_plans_inside_the_autopilots_limits(sitl, fly, bridge_config):
     config = bridge_config(autopilot, slots=8, parameters={"MPC_XY_VEL_MAX": 2.0})
     flight = fly(config, lambda opened: (5.0, 0.0, 0.0))
     assert flight.wait() == 0
-    assert "MPC_XY_VEL_MAX set to 2" in flight.told("parameter")
+    assert "MPC_XY_VEL_MAX was 12: set to 2" in flight.told("parameter")
     speeds = [np.hypot(*plan.velocity_enu[:2]) for flown in flight.flown for plan in flown.plan]
     assert max(speeds) == pytest.approx(2.0)
     assert "speed" in flight.flown[-1].reasons
