@@ -20,13 +20,18 @@ def number(text: str, what: str, low: float, high: float) -> float:
     return value
 
 
+def word(what: Loss) -> str:
+    """What a loss is called in a request."""
+    return f"{what.name.lower()}_loss"
+
+
 def _lose(what: Loss) -> Callable[[Autopilot, list[str]], None]:
     """A handler that takes something away for so many seconds; without a number for good, 0 gives it back."""
 
     def lose(autopilot: Autopilot, words: list[str]) -> None:
         if len(words) > 1:
-            raise ValueError(f"inject {what.value}: takes [seconds], not {' '.join(words)!r}")
-        seconds = number(words[0], what.value, 0.0, 1e6) if words else math.inf
+            raise ValueError(f"inject {word(what)}: takes [seconds], not {' '.join(words)!r}")
+        seconds = number(words[0], word(what), 0.0, 1e6) if words else math.inf
         autopilot.vehicle.model.faults.lose(what, autopilot.now_ms + seconds * 1000.0)
 
     return lose
@@ -87,7 +92,7 @@ def nothing(autopilot: Autopilot, words: list[str]) -> None:
 
 
 INJECTIONS: dict[str, Callable[[Autopilot, list[str]], None]] = {
-    **{what.value: _lose(what) for what in Loss},
+    **{word(what): _lose(what) for what in Loss},
     "motor": motor,
     "battery": battery,
     "wind": wind,

@@ -12,7 +12,7 @@ from sitl.services.command import Command
 from sitl.vehicle import Vehicle
 
 BATTERY, MOTOR = 100, 101
-LOSSES: dict[float, Loss] = {4: Loss.GPS, 104: Loss.STICKS, 105: Loss.GROUND_STATION}
+LOSSES: dict[float, Loss] = {4: Loss.GPS, 104: Loss.STICKS, 105: Loss.GCS}
 """FAILURE_UNIT."""
 OK, OFF = 0.0, 1.0
 """FAILURE_TYPE."""

@@ -10,5 +10,5 @@ GROUND_STATION = 6
 
 
 def heartbeat(v: Vehicle, _: Link, m: Message) -> None:
-    if m.type == GROUND_STATION and not v.model.faults.lost(Loss.GROUND_STATION, v.now_ms):
+    if m.type == GROUND_STATION and not v.model.faults.lost(Loss.GCS, v.now_ms):
         v.commander.hear_ground(m.get_srcSystem())

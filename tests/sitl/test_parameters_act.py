@@ -299,11 +299,43 @@ def shown_noise(f: Flight) -> None:
 
 SCENARIOS: dict[Callable[[Flight], None], dict[str, float]] = {
     offboard: dict.fromkeys(
-        "MC_PITCHRATE_D MC_PITCHRATE_I MC_PITCHRATE_K MC_PITCHRATE_P MC_PITCH_P MC_ROLLRATE_D MC_ROLLRATE_I "
-        "MC_ROLLRATE_K MC_ROLLRATE_P MC_ROLL_P MC_YAWRATE_I MC_YAWRATE_K MC_YAWRATE_P MC_YAW_P MC_YAW_TQ_CUTOFF "
-        "MC_YAW_WEIGHT MPC_VELD_LP MPC_XY_P MPC_XY_VEL_D_ACC MPC_XY_VEL_I_ACC MPC_XY_VEL_P_ACC MPC_Z_P "
-        "MPC_Z_VEL_I_ACC MPC_Z_VEL_P_ACC SIH_IXX SIH_IYY SIH_IZZ SIH_KDV SIH_KDW SIH_L_PITCH SIH_L_ROLL SIH_MASS "
-        "SIH_Q_MAX SIH_T_MAX SIH_T_TAU".split(),
+        [
+            "MC_PITCHRATE_D",
+            "MC_PITCHRATE_I",
+            "MC_PITCHRATE_K",
+            "MC_PITCHRATE_P",
+            "MC_PITCH_P",
+            "MC_ROLLRATE_D",
+            "MC_ROLLRATE_I",
+            "MC_ROLLRATE_K",
+            "MC_ROLLRATE_P",
+            "MC_ROLL_P",
+            "MC_YAWRATE_I",
+            "MC_YAWRATE_K",
+            "MC_YAWRATE_P",
+            "MC_YAW_P",
+            "MC_YAW_TQ_CUTOFF",
+            "MC_YAW_WEIGHT",
+            "MPC_VELD_LP",
+            "MPC_XY_P",
+            "MPC_XY_VEL_D_ACC",
+            "MPC_XY_VEL_I_ACC",
+            "MPC_XY_VEL_P_ACC",
+            "MPC_Z_P",
+            "MPC_Z_VEL_I_ACC",
+            "MPC_Z_VEL_P_ACC",
+            "SIH_IXX",
+            "SIH_IYY",
+            "SIH_IZZ",
+            "SIH_KDV",
+            "SIH_KDW",
+            "SIH_L_PITCH",
+            "SIH_L_ROLL",
+            "SIH_MASS",
+            "SIH_Q_MAX",
+            "SIH_T_MAX",
+            "SIH_T_TAU",
+        ],
         math.nan,
     )
     | {

@@ -54,7 +54,7 @@ def test_faults_end_by_themselves():
     faults.lose(Loss.STICKS, math.inf)
     assert (faults.lost(Loss.GPS, 999), faults.lost(Loss.GPS, 1000)) == (True, False)
     assert faults.lost(Loss.STICKS, 10**9)
-    assert not faults.lost(Loss.GROUND_STATION, 0)
+    assert not faults.lost(Loss.GCS, 0)
 
 
 IMU_HZ = {"HIGHRES_IMU": 50.0, "GPS_RAW_INT": 8.0, "HEARTBEAT": 1.0, "EXTENDED_SYS_STATE": 5.0}
