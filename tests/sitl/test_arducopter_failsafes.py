@@ -157,6 +157,18 @@ def test_arducopters_own_simulation_parameters_act():
         assert vehicle.latest["GPS_RAW_INT"].fix_type < 2
 
 
+def test_battery_voltage_lowered_in_flight():
+    """SIM_BATT_VOLTAGE below BATT_LOW_VOLT, the usual way to test BATT_FS_LOW_ACT on ArduPilot's simulator."""
+    with copter(BATT_FS_LOW_ACT=2) as vehicle:
+        vehicle.take_off(8.0)
+        assert vehicle.mode == GUIDED
+        vehicle.autopilot.vehicle.parameters.set("SIM_BATT_VOLTAGE", 10.4)
+        vehicle.fly(0.5)
+        assert vehicle.mode == RTL
+        assert "Battery Failsafe" in vehicle.texts()
+        assert vehicle.commander.battery.voltage == pytest.approx(10.4, abs=0.1)
+
+
 def test_auto_goes_on_without_a_ground_station_where_told():
     assert AUTO == Mode.AUTO
     with copter(FS_GCS_ENABLE=5, FS_GCS_TIMEOUT=2.0) as vehicle:
