@@ -3,13 +3,13 @@
 The recorded setpoints are sent over UDP to an ArduCopter personality in this process.
 """
 
-import csv
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sitl.recording import on_vehicle_time, read
 from tests.sitl.copter import copter
 
 DATA = Path(__file__).parent / "data"
@@ -17,20 +17,35 @@ YAW_RATE_0 = 1479
 """Type mask of the recorded setpoints: velocity and a yaw rate of zero."""
 
 
-def recording() -> list[dict[str, str]]:
-    with (DATA / "arducopter_step_response.csv").open() as file:
-        return list(csv.DictReader(file))
+def recording() -> list[dict[str, float]]:
+    """A row per LOCAL_POSITION_NED, with what was asked for and the attitude at that time."""
+    rows: list[dict[str, float]] = []
+    asked = dict.fromkeys(("cmd_vn", "cmd_ve", "cmd_vd"), 0.0)
+    attitude = dict.fromkeys(("roll_deg", "pitch_deg"), 0.0)
+    asked_s = -math.inf
+    for one in on_vehicle_time(read(DATA / "arducopter_flight.tlog.gz")):
+        if one.frame.name not in ("SET_POSITION_TARGET_LOCAL_NED", "ATTITUDE", "LOCAL_POSITION_NED"):
+            continue
+        m = one.message
+        if one.frame.name == "SET_POSITION_TARGET_LOCAL_NED":
+            asked, asked_s = {"cmd_vn": m.vx, "cmd_ve": m.vy, "cmd_vd": m.vz}, one.time_s
+        elif one.frame.name == "ATTITUDE":
+            attitude = {"roll_deg": math.degrees(m.roll), "pitch_deg": math.degrees(m.pitch)}
+        else:
+            moved = {"boot_s": one.time_s, "vn": m.vx, "ve": m.vy, "vd": m.vz, "d": m.z}
+            rows.append({**moved, **asked, **attitude, "streaming": float(one.time_s - asked_s < 0.06)})
+    return rows
 
 
-def column(rows: list[dict[str, str]], *names: str) -> np.ndarray:
-    return np.array([[float(row[name]) for name in names] for row in rows]).squeeze()
+def column(rows: list[dict[str, float]], *names: str) -> np.ndarray:
+    return np.array([[row[name] for name in names] for row in rows]).squeeze()
 
 
 class Flight:
     """Recorded and simulated side by side."""
 
     def __init__(self) -> None:
-        rows = [row for row in recording() if 54.4 <= float(row["boot_s"]) < 135.3]
+        rows = [row for row in recording() if 54.4 <= row["boot_s"] < 135.3]
         self.times = column(rows, "boot_s")
         self.asked = column(rows, "cmd_vn", "cmd_ve", "cmd_vd")
         self.streaming = column(rows, "streaming")
@@ -116,7 +131,7 @@ def test_stream_stop_brakes_when_the_recorded_vehicle_did(flight):
 
 def test_takeoff_takes_as_long_as_recorded():
     """Lifted off 1.4 s after the command, at 9.85 m after 7.9 s, at 2.5 m/s in between."""
-    rows = [row for row in recording() if 43.7 <= float(row["boot_s"]) < 54.4]
+    rows = [row for row in recording() if 43.7 <= row["boot_s"] < 54.4]
     times, down = column(rows, "boot_s"), column(rows, "d")
     with copter() as vehicle:
         vehicle.boot()
