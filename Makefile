@@ -30,6 +30,8 @@ $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -c "import torch" 2>/dev/null || $(BIN)/pip install --quiet -c constraints.txt torch
 	$(BIN)/pip install --quiet -c constraints.txt -e ".[dev]"
+	# For tests. Without its dependencies: its 3-D map would bring 750 MB of VTK and OpenCV.
+	$(BIN)/pip install --quiet -c constraints.txt --no-deps MAVProxy
 	touch $@
 
 clean:
