@@ -355,6 +355,10 @@ class Commander:
         if self.home is None and self.now_ms >= BOOT.home_ms:
             self.home = vector(self._body.position)
         self._judge_plans()
+        if not self.armed and self.now_ms >= self._look_due_ms:
+            self._look_due_ms = self.now_ms + LOOK_MS
+            self._watch_battery()
+            self._watch_ground_station()
         if self.armed:
             self._watch_fence()
             self._watch(dt)
