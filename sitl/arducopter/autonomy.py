@@ -97,8 +97,8 @@ class Takeoff:
     """Straight up to a height, then hold there."""
 
     landing = False
-    CLOSE_M = 0.03
-    """So near to its height it is done; recorded at 9.98 of 10 m."""
+    SLOW = 0.1
+    """Share of the climb rate below which it ends, from where the height is reached anyhow (_AutoTakeoff::run)."""
 
     def __init__(self, body: Body, p: Parameters, target_down: float) -> None:
         self._limits = limits(p)
@@ -113,7 +113,11 @@ class Takeoff:
             self._reference = Reference(self._start, (0.0, 0.0, -0.3))  # enough to leave the ground
         else:
             self._reference = approach(self._reference, self.target, vector(body.position), self._limits, dt)
-        self.done = self.done or body.position[2] <= self.target[2] + self.CLOSE_M
+        slow = self.SLOW * self._limits.speed_up
+        near = 0.5 * slow * slow / self._limits.acceleration_z
+        _, _, down = self._reference.position
+        climb = -self._reference.velocity[2]
+        self.done = self.done or (down <= self.target[2] + near and climb <= slow)
         return Setpoint(self._reference.position, self._reference.velocity, NAN3, self._yaw, NAN)
 
 
