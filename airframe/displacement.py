@@ -14,7 +14,7 @@ Real = TypeVar("Real", float, "Tensor")
 
 
 def spherical(distance: Real, elevation: Real, azimuth: Real) -> tuple[Real, Real, Real]:
-    """Displacement (east, north, up) [m] of a spherical move: the paper's {V, theta_T, phi_T} in constraint (21g).
+    """Displacement (east, north, up) [m] of a spherical move: the paper's {V, theta_T, phi_T} (constraint 21h).
 
     `distance` [m]; `elevation` [rad] in [-pi/2, pi/2] above the horizon; `azimuth` [rad] in [0, 2 pi] counter-clockwise
     from east.
