@@ -14,6 +14,61 @@ def test_presets_are_the_four_of_the_design():
     assert list(PRESETS) == ["paper_literal", "physical_1km", "physical_small", "prototype_s4"]
 
 
+SMALL = {"rows": 4, "columns": 4, "group": 4, "ris_gain_db": 42.0, "motion": "cartesian"}
+
+
+@pytest.mark.parametrize(
+    ("name", "switches"),
+    [
+        ("physical_1km", {}),
+        ("physical_small", SMALL),
+        (
+            "paper_literal",
+            {
+                "sinr": "amplitude",
+                "noise": "density",
+                "nlos_height": "uav",
+                "ris_user": "nlos",
+                "direct_extra_db": 0.0,
+                "ris_gain_db": 0.0,
+                "array": "literal",
+                "induced": "paper",
+                "induced_velocity": "paper",
+                "climb": "signed",
+                "v_perp": "speed",
+                "p_max": "per_user",
+                "region": "fixed",
+                "timing": "post",
+                "climb_up_mps": None,
+                "climb_down_mps": None,
+                "rows": 4,
+                "columns": 4,
+            },
+        ),
+        (
+            "prototype_s4",
+            SMALL
+            | {
+                "group": 1,
+                "motion": "spherical",
+                "ris_user": "los",
+                "region": "fixed",
+                "user_centre_enu": (0.0, 50.0),
+                "user_half_angle_rad": 0.45 * math.pi,
+                "user_bounds": "none",
+                "mobility": "directional",
+                "induced_velocity": "paper",
+                "climb": "signed",
+                "climb_up_mps": None,
+                "climb_down_mps": None,
+            },
+        ),
+    ],
+)
+def test_presets_set_the_designs_switches_and_no_other(name, switches):
+    assert PRESETS[name] == Scenario(**switches)
+
+
 def test_small_twin_has_the_surface_of_the_large_one():
     small, large = PRESETS["physical_small"], PRESETS["physical_1km"]
     assert (small.elements, large.elements) == (16, 256)
