@@ -46,9 +46,9 @@ def reproduce(seed: int, episodes: int | None) -> Reproduction:
         note=(
             "The paper: coupled 22 % over dual in sum rate over power, independent slightly above coupled, "
             "conventional least. The prototype: coupled 16 to 21.5 % over dual, independent 2.5 to 4 % over coupled. "
-            "Both are what hovering gives after 3 to 10 iterations; coupled goes on gaining (a dual surface has no "
-            "energy split to find), and reward, from which power is subtracted, shows more of it. On the sum of "
-            "rates alone one user gets nearly all: then dual, not conventional, is least. "
+            "Hovering gives the former after 3 to 10 iterations, the latter after 10 to 40; coupled goes on gaining (a "
+            "dual surface has no energy split to find), and reward, from which power is subtracted, shows more of it. "
+            "On the sum of rates alone one user gets nearly all: then dual, not conventional, is least. "
             f"Seed {seed}, {count} episodes of 30 slots ({SCENARIO}), ± 95 %, paired by episode."
         ),
     )
