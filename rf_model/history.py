@@ -1,5 +1,6 @@
 """Answers readers of a per-slot topic: the latest message, or that of `?slot=K`."""
 
+import re
 from typing import Any, Generic, TypeVar
 
 import zenoh
@@ -10,6 +11,7 @@ from bus.messages import LinkReport, RisConfiguration
 PerSlot = TypeVar("PerSlot", RisConfiguration, LinkReport)
 
 KEPT_SLOTS = 10_000
+SLOT_NUMBER = re.compile(r"[0-9]{1,18}")
 
 
 class History(Generic[PerSlot]):
@@ -24,6 +26,7 @@ class History(Generic[PerSlot]):
 
     def keep(self, message: PerSlot) -> None:
         """Make a message the latest and the one of its slot."""
+        self._messages.pop(message.slot, None)  # that of a flight before; the new one is the youngest
         self._messages[message.slot] = topics.encode(message)
         self._latest = message.slot
         if len(self._messages) > KEPT_SLOTS:
@@ -38,10 +41,10 @@ class History(Generic[PerSlot]):
             asked = query.parameters.get("slot")
             if asked is None:
                 slot = self._latest
-            elif asked.isdecimal():
+            elif SLOT_NUMBER.fullmatch(asked):
                 slot = int(asked)
             else:
-                query.reply_err(f"slot: {asked!r} is not a slot number".encode())
+                query.reply_err(f"slot: {asked[:32]!r} is not a slot number".encode())
                 return
             payload = None if slot is None else self._messages.get(slot)
             if payload is None:
