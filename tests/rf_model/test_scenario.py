@@ -171,6 +171,8 @@ def test_path_loss_overrides_one_link_and_keeps_the_others():
         ({"wind_enu": (0, 0)}, ["wind_enu.2: missing"]),
         ({"wind_enu": (0, 0, math.nan)}, ["wind_enu.2", "nan", "finite"]),
         ({"ris_mass_kg_per_m2": -1}, ["ris_mass_kg_per_m2", "-1"]),
+        ({"state_extra": ["time", "speed"]}, ["state_extra.1", "speed", "'users' or 'time'"]),
+        ({"state_extra": ["time", "time"]}, ["state_extra: time, time", "once"]),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line_that_names_it(fields, words):
@@ -190,6 +192,12 @@ def test_lists_and_whole_numbers_are_taken_for_points_and_floats():
         {"preset": "physical_small", "start_enu": [0, 1, 60], "box_enu": [[-9, 9]] * 2 + [[30, 99]]}
     )
     assert (scenario.start_enu, scenario.box_enu) == ((0.0, 1.0, 60.0), ((-9.0, 9.0), (-9.0, 9.0), (30.0, 99.0)))
+
+
+def test_what_is_observed_besides_may_be_named_in_any_order():
+    assert preset("physical_small", state_extra=["time", "users"]) == preset(
+        "physical_small", state_extra=["users", "time"]
+    )
 
 
 def test_a_preset_goes_by_its_name_alone_or_beside_the_fields_that_differ():
