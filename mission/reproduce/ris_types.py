@@ -6,10 +6,11 @@ from rich.table import Table
 from torch import Tensor
 
 from agent.experiments.intervals import Interval, mean_interval, ratio_interval
-from agent.experiments.ris_types import ITERATIONS, POSITIONS, SCENARIO, SURFACES, Outcome, Position, outcomes
+from agent.experiments.ris_types import ITERATIONS, POSITIONS, SCENARIO, SURFACES, Outcome, outcomes
 from mission.reproduce.reproduction import Data, Reproduction, table
 from mission.style import INK, LINES, MUTED
 from rf_model.reference.elements import SurfaceKind
+from rf_model.reference.episode import Position
 from rf_model.reference.solve import Objective
 
 EPISODES = 32
