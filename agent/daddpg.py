@@ -20,7 +20,7 @@ class Sizes:
     continuous: int
     """3 + 2N + 2MJ"""
     discrete: int
-    """N"""
+    """N, or 0 for surfaces without signs; then the discrete actor says nothing and learns nothing."""
 
     @property
     def action(self) -> int:
@@ -33,7 +33,8 @@ class Losses:
 
     critic: Tensor
     continuous_actor: Tensor
-    discrete_actor: Tensor
+    discrete_actor: Tensor | None
+    """None without a discrete half."""
     q: Tensor
     """Mean Q of the replayed actions."""
 
@@ -104,16 +105,18 @@ class DualActorDdpg:
         own_discrete = torch.tanh(pre_discrete)
         if config.discrete_gradient == "straight_through":
             own_discrete = own_discrete + (signs(own_discrete) - own_discrete).detach()
-        if config.actor_update == "replay_other":
+        value_discrete: Tensor | None = None
+        if config.actor_update == "replay_other" and self.sizes.discrete:
             value_continuous = self.critic(batch.observation, torch.cat([own_continuous, discrete], dim=-1))
             value_discrete = self.critic(batch.observation, torch.cat([continuous, own_discrete], dim=-1))
             value = value_continuous.mean() + value_discrete.mean()
         else:
             value_continuous = self.critic(batch.observation, torch.cat([own_continuous, own_discrete], dim=-1))
-            value_discrete = value_continuous
+            if self.sizes.discrete:
+                value_discrete = value_continuous
             value = value_continuous.mean()
         actor_loss = -value + config.saturation_penalty * (
-            pre_continuous.square().mean() + pre_discrete.square().mean()
+            pre_continuous.square().mean() + _mean(pre_discrete.square())
         )
         if cloning > 0:
             actor_loss = actor_loss + cloning * value.abs().detach() * imitation(
@@ -131,7 +134,7 @@ class DualActorDdpg:
         return Losses(
             critic=critic_loss.detach(),
             continuous_actor=-value_continuous.detach().mean(),
-            discrete_actor=-value_discrete.detach().mean(),
+            discrete_actor=None if value_discrete is None else -value_discrete.detach().mean(),
             q=q.detach().mean(),
         )
 
@@ -184,7 +187,12 @@ class DualActorDdpg:
 def imitation(pre_continuous: Tensor, pre_discrete: Tensor, continuous: Tensor, discrete: Tensor) -> Tensor:
     """Cloning loss: squared error of the continuous half, logistic loss of the signs (tanh z = 2 sigmoid(2z) - 1)."""
     error = functional.mse_loss(torch.tanh(pre_continuous), continuous)
-    return error + functional.soft_margin_loss(2 * pre_discrete, discrete)
+    return error + _mean(functional.soft_margin_loss(2 * pre_discrete, discrete, reduction="none"))
+
+
+def _mean(values: Tensor) -> Tensor:
+    """The mean; of nothing 0, which is what surfaces without signs have in place of a discrete half."""
+    return values.mean() if values.numel() else values.sum()
 
 
 def soft_update(target: nn.Module, source: nn.Module, tau: float) -> None:

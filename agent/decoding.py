@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from airframe.displacement import clip_norm, limit_climb, spherical
+from airframe.displacement import spherical
+from rf_model.geometry import constant
 from rf_model.scenario import Scenario
 from rf_model.star_ris import Coefficients
 from rf_model.surfaces import surface_of
@@ -67,9 +68,11 @@ def require_finite(raw: Tensor, scenario: Scenario) -> None:
     size = action_size(scenario)
     if raw.shape[-1] != size:
         raise RawActionError(f"raw action: {raw.shape[-1]} numbers, the scenario takes {size}")
-    if not torch.isfinite(raw).all():
-        index = int((~torch.isfinite(raw)).any(dim=tuple(range(raw.ndim - 1))).nonzero()[0])
-        raise RawActionError(f"raw action: number {index} is not finite")
+    if math.isfinite(raw.sum().item()):  # much the cheapest; of finite numbers only huge ones have no finite sum
+        return
+    wrong = (~torch.isfinite(raw)).any(dim=tuple(range(raw.ndim - 1)))
+    if wrong.any():
+        raise RawActionError(f"raw action: number {int(wrong.nonzero()[0])} is not finite")
 
 
 def decode(raw: Tensor, scenario: Scenario) -> PhysicalAction:
@@ -78,43 +81,73 @@ def decode(raw: Tensor, scenario: Scenario) -> PhysicalAction:
     Other surfaces than the coupled one take other numbers in place of theta_R, split and signs (`rf_model.surfaces`).
     Everything but the signs is clipped to [-1, 1] first. Limits are kept exactly even when the result is later read
     in double precision: each is approached from below by a few units of rounding. W uses all of P_max, except that
-    numbers below 1e-12 count as silence. Differentiable except in the signs. Raises RawActionError.
+    numbers of a norm below 1e-12 count as silence. Differentiable except in the signs. Raises RawActionError.
     """
     require_finite(raw, scenario)
     surface = surface_of(scenario)
     N, beams = scenario.elements, 2 * scenario.antennas * scenario.users
     motion, coefficients, weights, signs = torch.split(
-        raw, [3, surface.continuous * N, beams, surface.signs * N], dim=-1
+        raw.clip(-1, 1), [3, surface.continuous * N, beams, surface.signs * N], dim=-1
     )
     return PhysicalAction(
-        displacement_enu=_displacement(motion.clip(-1, 1), scenario),
+        displacement_enu=_displacement(motion, scenario),
         trc=surface.decode(coefficients, signs),
-        beamforming=_beamforming(weights.clip(-1, 1), scenario),
+        beamforming=_beamforming(weights, scenario),
     )
+
+
+def encode(action: PhysicalAction, scenario: Scenario) -> Tensor:
+    """Raw actions [..., action_size(scenario)] of which `decode` makes these decisions, to rounding.
+
+    Of what it never makes there is no such raw action: W of less than full power comes back at full power, other
+    coefficients than the surface can have and moves beyond the limits as something near.
+    """
+    coefficients, signs = surface_of(scenario).encode(action.trc)
+    beams = torch.view_as_real(action.beamforming).flatten(-3)
+    largest = beams.abs().amax(dim=-1, keepdim=True).clamp_min(1e-12)
+    return torch.cat((_motion(action.displacement_enu, scenario), coefficients, beams / largest, signs), dim=-1)
+
+
+def _motion(displacement_enu: Tensor, scenario: Scenario) -> Tensor:
+    """`_displacement` undone for moves [..., 3] within the limits."""
+    reach = scenario.v_max_mps * scenario.slot_s
+    if scenario.motion == "cartesian":
+        return (displacement_enu / reach).clip(-1, 1)
+    east, north, up = displacement_enu.unbind(-1)
+    horizontal = torch.hypot(east, north)
+    elevation, azimuth = torch.atan2(up, horizontal), torch.atan2(north, east).remainder(2 * math.pi)
+    distance = torch.hypot(horizontal, up)
+    parts = (distance * (2 / reach) - 1, elevation / (math.pi / 2), azimuth / math.pi - 1)
+    return torch.stack(parts, dim=-1).clip(-1, 1)
 
 
 def _displacement(motion: Tensor, scenario: Scenario) -> Tensor:
-    """[..., 3] in [-1, 1] to metres: (distance, elevation, azimuth) or a vector, then the limits."""
-    reach = scenario.v_max_mps * scenario.slot_s
-    first, second, third = motion.unbind(-1)
+    """[..., 3] in [-1, 1] to metres: (distance, elevation, azimuth) or a vector, then the limits.
+
+    First of speed (constraint 21h), which keeps the direction, then of climb and descent, which keep the horizontal
+    part.
+    """
+    slot_s = scenario.slot_s
+    reach = scenario.v_max_mps * slot_s
     if scenario.motion == "spherical":
-        dx, dy, dz = spherical((first + 1) * (reach / 2), second * (math.pi / 2), (third + 1) * math.pi)
+        first, second, third = motion.unbind(-1)
+        parts = spherical((first + 1) * (reach / 2), second * (math.pi / 2), (third + 1) * math.pi)
+        wanted = torch.stack(parts, dim=-1)
     else:
-        dx, dy, dz = first * reach, second * reach, third * reach
+        wanted = motion * reach
     below = 1 - 8 * torch.finfo(motion.dtype).eps
-    dx, dy, dz = clip_norm(dx, dy, dz, reach * below)
-    up = (scenario.climb_up_mps or scenario.v_max_mps) * below
-    down = (scenario.climb_down_mps or scenario.v_max_mps) * below
-    dz = limit_climb(dz, scenario.slot_s, up, down)
-    return torch.stack([dx, dy, dz], dim=-1)
+    too_far = torch.linalg.vector_norm(wanted, dim=-1, keepdim=True) * (1 / (reach * below))
+    up = (scenario.climb_up_mps or math.inf) * slot_s * below
+    down = (scenario.climb_down_mps or math.inf) * slot_s * below
+    lowest = constant((-math.inf, -math.inf, -down), motion.dtype, motion.device)
+    highest = constant((math.inf, math.inf, up), motion.dtype, motion.device)
+    return torch.clamp(wanted / too_far.clamp_min(1), lowest, highest)
 
 
 def _beamforming(beams: Tensor, scenario: Scenario) -> Tensor:
     """[..., 2MJ] in [-1, 1] to W [..., M, J] of full power, over all users or for each (constraint 21g)."""
     parts = beams.reshape(*beams.shape[:-1], scenario.antennas, scenario.users, 2)
     within = (-3, -2, -1) if scenario.p_max == "total" else (-3, -1)
-    largest = parts.abs().amax(dim=within, keepdim=True).clip(min=1e-12)
-    unit = parts / largest  # squares of what is left neither overflow nor vanish
-    norm = unit.square().sum(dim=within, keepdim=True).clip(min=1).sqrt()
+    norm = torch.linalg.vector_norm(parts, dim=within, keepdim=True).clamp_min(1e-12)  # squares of 1e-12 do not vanish
     rounding = beams.shape[-1] * torch.finfo(beams.dtype).eps
-    return torch.view_as_complex(unit * (math.sqrt(scenario.p_max_w) * (1 - rounding) / norm))
+    return torch.view_as_complex(parts / (norm * (1 / (math.sqrt(scenario.p_max_w) * (1 - rounding)))))

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from agent.decoding import PhysicalAction, decode
 from agent.inertia import reachable
-from agent.observation import Normalisation, observe, state_size
+from agent.observation import Normalisation, channel_size, observe
 from rf_model.channels import Channels, Fading, draw_fading, faded_channels
 from rf_model.csi import Observed
 from rf_model.geometry import panel_frame
@@ -90,8 +90,7 @@ class Environment:
         self._yaw = torch.full((batch,), scenario.panel_heading_rad, device=self.device)
         self._level = panel_frame(self._yaw)
         self._observed = Observed(scenario)
-        coefficients = batch * (state_size(scenario) - 3) // 2
-        self._block = max(1, min(scenario.slots + 1, BLOCK // coefficients))
+        self._block = max(1, min(scenario.slots + 1, BLOCK // (batch * channel_size(scenario))))
 
     def reset(self) -> Tensor:
         """Begin an episode in every world; returns the observations [B, S]."""
@@ -111,13 +110,7 @@ class Environment:
             raise RuntimeError("the episode is over or has not begun: reset first")
         world, scenario = self.world, self.scenario
         action = decode(raw, scenario)
-        made, velocity = self._move(world.velocity_enu, action.displacement_enu)
-        free = world.position_enu + made
-        position = torch.clamp(free, self._low, self._high)
-        stopped = position != free
-        flown = (position - world.position_enu) / scenario.slot_s
-        power = self._mean_power(world.velocity_enu, velocity, flown, stopped)
-        velocity = torch.where(stopped, 0.0, velocity)
+        position, velocity, flown, power = self._moved(world, action.displacement_enu)
 
         self.slot += 1
         if self.slot % self._block == 0:
@@ -135,10 +128,19 @@ class Environment:
             truncated=self.slot == scenario.slots,
         )
 
-    def _move(self, velocity_enu: Tensor, displacement_enu: Tensor) -> tuple[Tensor, Tensor]:
+    def _moved(self, world: World, displacement_enu: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Position and velocity [B, 3] at the slot's end, velocity [B, 3] on average, and mean power [B]."""
+        made, before = displacement_enu, world.velocity_enu
+        if self.acceleration_mps2 is not None:
+            made, after = reachable(before, displacement_enu, self.acceleration_mps2, self.scenario)
+        free = world.position_enu + made
+        position = torch.clamp(free, self._low, self._high)
+        flown = (position - world.position_enu) / self.scenario.slot_s
         if self.acceleration_mps2 is None:
-            return displacement_enu, velocity_enu
-        return reachable(velocity_enu, displacement_enu, self.acceleration_mps2, self.scenario)
+            return position, before, flown, slot_power(self.scenario, flown, self._yaw)
+        stopped = position != free
+        power = self._ramped_power(self.acceleration_mps2, before, after, flown, stopped)
+        return position, torch.where(stopped, 0.0, after), flown, power
 
     def _draw(self) -> None:
         """Draw the fading and the users' headings for a block of slots, because many small draws cost most."""
@@ -146,17 +148,17 @@ class Environment:
         self._fading: Fading = draw_fading(scenario, shape, self.generator, torch.float32)
         self._walk = torch.randn((*shape, scenario.users), generator=self.generator, device=self.device)
 
-    def _mean_power(self, before_enu: Tensor, after_enu: Tensor, flown_enu: Tensor, stopped: Tensor) -> Tensor:
+    def _ramped_power(
+        self, acceleration_mps2: float, before_enu: Tensor, after_enu: Tensor, flown_enu: Tensor, stopped: Tensor
+    ) -> Tensor:
         """Mean power of a slot [B] from the velocities [B, 3] at its ends and on average.
 
-        With inertia, over the ramp from one velocity to the other (Simpson's rule) and the rest of the slot.
+        Over the ramp from one velocity to the other (Simpson's rule) and the rest of the slot.
         """
-        if self.acceleration_mps2 is None:
-            return slot_power(self.scenario, flown_enu, self._yaw)
         change = after_enu - before_enu
         on_the_ramp = [before_enu + fraction * change for fraction in (0.0, 0.25, 0.5, 0.75, 1.0)]
         *ramp_power, mean_power = slot_power(self.scenario, torch.stack([*on_the_ramp, flown_enu]), self._yaw)
-        ramp = change.norm(dim=-1) / (self.acceleration_mps2 * self.scenario.slot_s)
+        ramp = change.norm(dim=-1) / (acceleration_mps2 * self.scenario.slot_s)
         a, b, c, d, e = ramp_power
         power = ramp * (a + 4 * b + 2 * c + 4 * d + e) / 12 + (1 - ramp) * e
         return torch.where(stopped.any(-1), mean_power, power)
@@ -169,4 +171,5 @@ class Environment:
         fading = self._fading.slot(self.slot % self._block)
         channels = faded_channels(self.scenario, position_enu, frame, users.position_enu, fading)
         self.world = World(position_enu, velocity_enu, users, channels)
-        return observe(position_enu, self._observed.of(channels, self.generator), self.normalisation)
+        observed = self._observed.of(channels, self.generator)
+        return observe(position_enu, users.position_enu, self.slot, observed, self.normalisation)

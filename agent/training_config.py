@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -12,9 +12,12 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class TrainingConfig(BaseModel):
-    """DA-DDPG's learning switches and hyper-parameters. Where the paper gives a value it is the default."""
+    """DA-DDPG's learning switches and hyper-parameters. Where the paper gives a value it is the default.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    No value is converted, except whole numbers to floats.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     environments: Annotated[int, Field(ge=2)] = 32
@@ -30,12 +33,14 @@ class TrainingConfig(BaseModel):
     warmup: Annotated[int, Field(ge=0)] = 3200
     """Transitions of random actions before the first update."""
 
-    hidden: tuple[Count, ...] = Field(default=(256, 256), min_length=1)
+    hidden: Annotated[tuple[Count, ...], Field(min_length=1), Strict(False)] = (256, 256)
     """Widths of the dense layers of the actors and of the critic's state branch: the paper has 256 to 512 by N."""
     actor_lr: Positive = 1e-4
     critic_lr: Positive = 1e-3
     discount: Annotated[float, Field(ge=0, le=1)] = 0.9
-    """zeta of paper eq. 24."""
+    """zeta of paper eq. 24; the paper has 1, which is sound for episodes that end (`time_limit: terminates`)."""
+    time_limit: Literal["truncates", "terminates"] = "truncates"
+    """Whether values go on beyond an episode's last slot, or end there, which a state must tell by its time."""
     soft_update: Fraction = 0.005
     """tau: w' <- (1 - tau) w' + tau w (Alg. 1, whose printed line would change nothing)."""
     target_state: Literal["next", "current"] = "next"
@@ -63,8 +68,9 @@ class TrainingConfig(BaseModel):
     """Offline: updates of behaviour cloning first."""
     offline_updates: Annotated[int, Field(ge=0)] = 4000
     """Offline: DA-DDPG updates after that."""
-    cloning: NonNegative = 1.0
-    """Offline: weight of the cloning loss in those, relative to |Q|."""
+    cloning: NonNegative = 10.0
+    """Offline: weight of the cloning loss in those, relative to |Q|; with 1 they stray farther from what was flown than
+    its mean action does."""
 
     evaluate_every: Count = 128
     """Episodes between evaluations; they cost little, and the policy swings from one to the next."""

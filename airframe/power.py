@@ -101,23 +101,25 @@ def power_terms(
     hover_blade = wing.air_density * wing.profile_drag * wing.disc_area_m2 * wing.solidity * wing.tip_speed_mps**3 / 8.0
     blade = hover_blade + (3.0 * hover_blade / wing.tip_speed_mps**2) * V_squared
 
-    # sqrt(1 + a^2) - a written as a reciprocal: the difference cancels at high speed and float32 would go negative.
+    # sqrt(1 + a^2) - a is 1 / (sqrt(1 + a^2) + a): the difference cancels at high speed, float32 would go negative.
     a = V_squared * (0.5 / wing.induced_velocity_mps**2)
-    correction = 1.0 / ((1.0 + a * a) ** 0.5 + a)
+    inverse_correction = (1.0 + a * a) ** 0.5 + a
     disc_loading = 2.0 * wing.air_density * wing.disc_area_m2
     if wing.induced == "paper":
-        induced = wing.weight_n**1.5 / disc_loading * correction
+        induced = wing.weight_n**1.5 / disc_loading * inverse_correction**-1.0
     elif wing.induced == "zeng":
-        induced = (1.0 + wing.induced_correction) * (wing.weight_n**1.5 / disc_loading**0.5) * correction**0.5
+        hover_induced = (1.0 + wing.induced_correction) * wing.weight_n**1.5 / disc_loading**0.5
+        induced = hover_induced * inverse_correction**-0.5
     else:
-        induced = wing.weight_n**1.5 / disc_loading**0.5 * correction**0.5
+        induced = wing.weight_n**1.5 / disc_loading**0.5 * inverse_correction**-0.5
 
     fuselage = 0.5 * wing.air_density * wing.solidity * wing.disc_area_m2 * wing.fuselage_drag_ratio
     parasite = fuselage * V_squared**1.5
 
-    climb = wing.weight_n * velocity_z
     if wing.climb == "nonnegative":
-        climb = 0.5 * (climb + abs(climb))
+        climb = 0.5 * wing.weight_n * (velocity_z + abs(velocity_z))
+    else:
+        climb = wing.weight_n * velocity_z
 
     cubed = abs(velocity_x * normal_x + velocity_y * normal_y) ** 3 if panel.v_perp == "normal" else V_squared**1.5
     panel_drag = 0.5 * wing.air_density * panel.area_m2 * panel.drag_coefficient * cubed

@@ -11,11 +11,3 @@ Real = TypeVar("Real", float, "Tensor")
 def stop_distance(speed: Real, deceleration: float, reaction_s: float = 0.0) -> Real:
     """Distance [m] covered from `speed` [m/s] when braking at `deceleration` [m/s2] begins after `reaction_s`."""
     return speed * reaction_s + speed * speed / (2 * deceleration)
-
-
-def speed_to_stop_within(distance: Real, deceleration: float, reaction_s: float = 0.0) -> Real:
-    """Largest speed [m/s] whose `stop_distance` is at most `distance` [m]; 0 for a negative distance."""
-    room = (distance + abs(distance)) / 2
-    blind = deceleration * reaction_s
-    speed: Real = (blind * blind + 2 * deceleration * room) ** 0.5 - blind
-    return speed

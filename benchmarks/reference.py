@@ -59,9 +59,9 @@ class PlainReference:
     def sides(self, by_user: Array) -> Array:
         return np.stack([by_user[self.side == side].sum(0) for side in (0, 1)])
 
-    def zero_forcing(self, G: Array) -> Array:
-        W = G.conj().T @ np.linalg.inv(G @ G.conj().T + len(G) * np.eye(len(G)))
-        return W / np.linalg.norm(W, axis=0) / math.sqrt(len(G))
+    def zero_forcing(self, G: Array, power: Array) -> Array:
+        W = np.linalg.inv(np.eye(G.shape[1]) + (G.conj().T * power) @ G) @ G.conj().T
+        return W * np.sqrt(power) / np.linalg.norm(W, axis=0)
 
     def receivers(self, E: Array) -> tuple[Array, Array]:
         total, own = (np.abs(E) ** 2).sum(1) + 1, E.diagonal()
@@ -85,7 +85,7 @@ class PlainReference:
         v = np.linalg.svd(self.H)[2][0].conj()
         phasor = np.exp(-1j * np.angle(self.h_b @ v))[:, None]
         phi = self.project(self.sides(phasor * self.h_s * (self.H @ v)).conj())
-        return phi, self.zero_forcing(self.channel(phi))
+        return phi, self.zero_forcing(self.channel(phi), np.full(len(self.h_b), 1 / len(self.h_b)))
 
     def solve(self, iterations: int) -> float:
         phi, W = self.closed_form()
@@ -93,16 +93,22 @@ class PlainReference:
             W = self.beam_step(self.channel(phi), W)
         step = 1.0
         for _ in range(iterations):
-            E, A, D = self.channel(phi) @ W, self.H @ W, self.h_b @ W
+            E = self.channel(phi) @ W
             weight, u = self.receivers(E)
             slope = weight[:, None] * (np.diag(u) - (np.abs(u) ** 2)[:, None] * E.conj())
-            gradient = self.sides((self.h_s * (slope @ A.T)).conj())
+            gradient = self.sides((self.h_s * (slope @ (self.H @ W).T)).conj())
             gradient /= np.sqrt((np.abs(gradient) ** 2).mean())
-            trials = [(f, self.project(phi + step * f * gradient)) for f in (0.4, 1.0, 2.5)]
-            scored = [(self.utility(D + (self.h_s * trial[self.side]) @ A), f, trial) for f, trial in trials]
-            value, factor, trial = max(scored, key=lambda entry: entry[0])
-            step *= factor if value > self.utility(E) else 0.5
-            phi = trial if value > self.utility(E) else phi
+            power = (np.abs(W) ** 2).sum(0)
+            tried = []
+            for factor in (0.4, 1.0, 2.5):
+                trial = self.project(phi + step * factor * gradient)
+                G = self.channel(trial)
+                tried += [(self.utility(G @ V), factor, trial, V) for V in (W, self.zero_forcing(G, power))]
+            value, factor, trial, beams = max(tried, key=lambda entry: entry[0])
+            if value > self.utility(E):
+                phi, W, step = trial, beams, step * factor
+            else:
+                step /= 2
             W = self.beam_step(self.channel(phi), W)
         return self.utility(self.channel(phi) @ W) * self.bit
 

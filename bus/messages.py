@@ -18,6 +18,8 @@ Complex = tuple[Finite, Finite]
 Sign = Literal[-1, 1]
 Region = Literal["reflection", "transmission"]
 SlotOutcome = Literal["flown", "clipped", "late", "missing", "rejected"]
+ConfigurationSource = Literal["action", "held", "default", "closed_form", "optimised"]
+"""The slot's action; the last configuration again, or the neutral one; or the rf node by itself, and how."""
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True):
@@ -129,7 +131,7 @@ class RisConfiguration(Message, frozen=True):
 
     slot: Count
     time_s: Finite
-    source: Literal["action", "held", "default"]
+    source: ConfigurationSource
     theta_reflection: list[Finite]
     theta_transmission: list[Finite]
     beta_reflection: list[Finite]
@@ -144,7 +146,7 @@ class LinkReport(Message, frozen=True):
 
     slot: Count
     time_s: Finite
-    configuration: Literal["action", "held", "default"]
+    configuration: ConfigurationSource
     position_enu: Vec3
     users_enu: list[Vec3]
     regions: list[Region]

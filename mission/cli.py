@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.exceptions import TyperException
 
+from mission.reproduce import FIGURES, ReproduceError
 from sitl.cli import sitl
 from sitl.conformance.cli import conformance
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 ERROR, BAD_INPUT = 1, 2
 ENDPOINT = re.compile(r"[a-z][a-z0-9_-]*/\S+")
 """Of zenoh; the bus says what else is wrong with it."""
+VEHICLE = re.compile(r"[A-Za-z0-9_-]{1,32}")
 
 app = typer.Typer(
     name="aerialstar",
@@ -36,6 +38,21 @@ def _endpoints(given: str | list[str] | None) -> str | list[str] | None:
         if not ENDPOINT.fullmatch(endpoint):
             raise typer.BadParameter(f"{endpoint!r} must be PROTOCOL/ADDRESS, e.g. tcp/127.0.0.1:7447")
     return given
+
+
+def _names(given: list[str] | None) -> list[str] | None:
+    for name in given or ():
+        if not VEHICLE.fullmatch(name):
+            raise typer.BadParameter(f"{name!r} must be 1 to 32 letters, digits, '_' or '-'")
+        if (given or []).count(name) > 1:
+            raise typer.BadParameter(f"{name!r} is given twice")
+    return given
+
+
+def _known_figure(name: str) -> str:
+    if name not in FIGURES:
+        raise typer.BadParameter(f"{name!r} is not one of {', '.join(FIGURES)}")
+    return name
 
 
 MissionOption = Annotated[Path, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")]
@@ -85,32 +102,75 @@ def fly(
 app.command(name="sitl")(sitl)
 app.command(name="conformance")(conformance)
 
+rf = typer.Typer(invoke_without_command=True)
+app.add_typer(rf, name="rf")
 
-@app.command()
-def rf(
-    mission: MissionOption,
-    vehicle: VehicleOption = None,
+
+@rf.callback()
+def rf_node(
+    context: typer.Context,
+    mission: Annotated[Path | None, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")] = None,
+    vehicle: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            callback=_names,
+            help="Vehicle on the bus; else the mission's. Repeatable: a world for each.",
+        ),
+    ] = None,
     connect: ConnectOption = None,
     listen: ListenOption = LOOPBACK,
     zenoh_config: ConfigOption = None,
     until_ended: UntilEndedOption = False,
 ) -> None:
-    """Run the radio node alone: users, channels, rates."""
+    """Run the radio node alone (with --mission): users, channels, rates. Or evaluate one slot."""
+    if context.invoked_subcommand is not None:
+        return
+    if mission is None:
+        raise typer.BadParameter("none given, and the node needs one", param_hint="--mission")
     with _one_line_errors():
         from mission.mission_file import action_deadline_s
 
-        with _on_the_bus(mission, vehicle, zenoh_config, connect, listen) as (loaded, session):
-            from rf_model.node import run
+        with _on_the_bus(mission, vehicle[0] if vehicle else None, zenoh_config, connect, listen) as (loaded, session):
+            from rf_model.node import run, vehicle_seeds
 
+            seeds = vehicle_seeds(loaded.seed, vehicle or [loaded.vehicle.name])
+            if len(seeds) > 1:
+                for name, seed in seeds.items():
+                    typer.echo(f"rf: {name} has seed {seed}")
             code = run(
                 loaded.scenario,
-                loaded.seed,
-                loaded.vehicle.name,
+                seeds,
                 session,
                 action_deadline_s=action_deadline_s(loaded),
                 until_ended=until_ended,
+                ris=loaded.ris,
             )
         raise typer.Exit(code)
+
+
+@rf.command()
+def evaluate(
+    snapshot: Annotated[Path, typer.Argument(metavar="SNAPSHOT", help="Snapshot file (YAML or JSON); - for stdin.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, SI units.")] = False,
+) -> None:
+    """Evaluate one slot: path losses, SINR, rates, power and reward of given positions, coefficients and beams.
+
+    A snapshot holds scenario, position_enu and users_enu, and may hold velocity_enu, attitude_rad, seed, channels,
+    ris, trc and beamforming: see missions/snapshot.yaml and docs/rf_model.md.
+
+    Exit codes: 0 evaluated, 2 bad input.
+    """
+    with _one_line_errors():
+        from rich.console import Console
+
+        from mission.snapshot_file import evaluate_file, tables, to_json
+
+        evaluation = evaluate_file(snapshot)
+        if as_json:
+            typer.echo(to_json(evaluation))
+        else:
+            Console().print(*tables(evaluation), sep="\n")
 
 
 @app.command()
@@ -226,6 +286,28 @@ def replay(run: RunArgument) -> None:
         raise typer.Exit(0 if result.same else ERROR)
 
 
+@app.command()
+def reproduce(
+    figure: Annotated[
+        str, typer.Argument(metavar="FIGURE", callback=_known_figure, help="One of: " + ", ".join(FIGURES) + ".")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the PNG and the CSV files go.")] = Path(
+        "runs/reproduce"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
+    episodes: Annotated[
+        int | None, typer.Option(min=2, help="Worlds to average over, where anything is random; more take longer.")
+    ] = None,
+) -> None:
+    """Reproduce a figure of the paper that needs no learning: PNG, CSV, and what was found beside what it says."""
+    with _one_line_errors():
+        from rich.console import Console
+
+        from mission.reproduce.run import run
+
+        run(figure, out, seed, episodes, Console())
+
+
 @contextmanager
 def _on_the_bus(
     mission: Path, vehicle: str | None, config: Path | None, connect: list[str] | None, listen: str
@@ -266,7 +348,8 @@ def _exit_code(error: Exception) -> int | None:
     from mission.train import TrainInputError
     from rf_model.scenario import ScenarioError
 
-    if isinstance(error, MissionError | ScenarioError | CheckpointError | FlightLogError | TrainInputError):
+    bad = (MissionError, ScenarioError, CheckpointError, FlightLogError, TrainInputError, ReproduceError)
+    if isinstance(error, bad):
         return BAD_INPUT
     if isinstance(error, BusError | FlightError | ReplayError | OSError):
         return ERROR

@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -16,31 +15,12 @@ from bus import topics
 from bus.messages import LinkReport, RisConfiguration, TrackSample, Vec3
 from mission.flight_log import FlightLog
 from mission.report import Report
+from mission.style import INK, LINES, MUTED, PLANNED, STYLE
 from rf_model.scenario import Scenario
 
 Floats = NDArray[np.float64]
 
-INK, MUTED, PLANNED = "#1f2933", "#7b8794", "#d9822b"
 SIDES = {"reflection": "#0072b2", "transmission": "#cc4c8f"}
-STYLE: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.titlecolor": INK,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e4e7eb",
-    "grid.linewidth": 0.8,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-}
-LINES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 
 
@@ -91,7 +71,7 @@ def _trajectory(axes: Axes3D, flown: list[TrackSample], links: list[LinkReport],
         walk = np.array([link.users_enu[user] for link in links])
         axes.plot(*walk.T, color=SIDES[region], linewidth=1.2)
         axes.scatter(*walk[-1], color=SIDES[region], s=26, depthshade=False)
-        axes.text(*(walk[-1] + (0.0, 0.0, 5.0)), f"user {user + 1}", color=SIDES[region], fontsize=8, ha="center")
+        axes.text(*(walk[-1] + (0.0, 0.0, 5.0)), f"user {user}", color=SIDES[region], fontsize=8, ha="center")
     for side, colour in SIDES.items():
         axes.plot([], [], "o", color=colour, markersize=5, label=f"user, {side} side at the start")
 
@@ -149,7 +129,7 @@ def _rates(axes: Axes, links: list[LinkReport], qos_bps: float, start_s: float) 
             linestyle=line,
             where="post",
             color=SIDES[region],
-            label=f"user {user + 1}",
+            label=f"user {user}",
         )
     axes.axhline(qos_bps / 1e3, color=PLANNED, linewidth=1.4, linestyle=(0, (6, 3)), label="QoS")
     axes.set_yscale("log")

@@ -1,19 +1,20 @@
 """The mission file: YAML in, one frozen and validated `Mission` out, or one line that says what is wrong with it."""
 
 import re
-from collections.abc import Hashable, Mapping
-from difflib import get_close_matches
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails
 
 from agent.checkpoint import CheckpointError, read_metadata, require_fit
 from agent.policy import PolicyConfig
 from autopilot_bridge.config import Box, BridgeConfig, Limits, LockstepClock, PacedClock, udpin_address
-from rf_model.scenario import PRESETS, Scenario, ScenarioError, make_scenario, preset
+from mission.yaml_file import YamlError, read_mapping
+from rf_model.config_errors import one_line
+from rf_model.ris_control import RisControl
+from rf_model.scenario import Scenario, ScenarioError, make_scenario
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 EMBEDDED = "sitl"
@@ -31,34 +32,12 @@ BRIDGE_FIELDS = {
 ANY_CONTROL = "127.0.0.1:1"
 """Stands for the control socket while none is open yet."""
 
-VALUE_MAX = 80
-"""Longer values are not shown in an error."""
-
 Margin = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 Parameters = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
 
 
 class MissionError(ValueError):
     """A mission that cannot be flown as written; one line naming file, field, value and what is allowed."""
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML in which a key given twice is a mistake, and `1e3` a number as in YAML 1.2."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        lines: dict[str, int] = {}
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode):
-                line = key.start_mark.line + 1
-                if key.value in lines:
-                    raise MissionError(f"{key.value}: given twice, in lines {lines[key.value]} and {line}")
-                lines[key.value] = line
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
 
 
 class _Strict(BaseModel):
@@ -145,6 +124,8 @@ class Mission(_Strict):
     speed: Annotated[float, Field(gt=0, le=100, allow_inf_nan=False)] = 1.0
     """Vehicle seconds per wall second; only with `clock: paced`."""
     policy: PolicyConfig = PolicyConfig()
+    ris: RisControl = RisControl()
+    """Who sets the surface and the beams: a mode's name, or a mapping with `mode:`."""
     limits: LimitsSection = LimitsSection()
     restart: Literal["once", "never"] = "once"
     """Whether a radio or agent node that dies is started again."""
@@ -188,6 +169,11 @@ class Mission(_Strict):
             )
         return self
 
+    @model_validator(mode="after")
+    def _ris_fits(self) -> Self:
+        self.ris.require_fit(self.scenario)
+        return self
+
     @property
     def embedded(self) -> bool:
         """Whether the embedded autopilot flies."""
@@ -197,16 +183,9 @@ class Mission(_Strict):
 def load(path: Path, vehicle_name: str | None = None, **overrides: object) -> Mission:
     """Read a mission file; `overrides` replace top-level fields (None leaves a field alone). Raises MissionError."""
     try:
-        fields = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except MissionError as error:
-        raise MissionError(f"{path}: {error}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise MissionError(f"{path}: {why}") from error
-    except yaml.YAMLError as error:
-        raise MissionError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(fields, dict):
-        raise MissionError(f"{path}: must hold a mapping of fields ({', '.join(Mission.model_fields)})")
+        fields = read_mapping(path, Mission.model_fields)
+    except YamlError as error:
+        raise MissionError(str(error)) from error
     fields |= {name: value for name, value in overrides.items() if value is not None}
     fields.setdefault("name", path.stem)
     if vehicle_name is not None and isinstance(fields.setdefault("vehicle", {}), dict):
@@ -282,64 +261,9 @@ def action_deadline_s(mission: Mission) -> float:
     return bridge_config(mission, control=ANY_CONTROL).deadline_s
 
 
-def one_line(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first thing that is wrong: field, value, what is allowed; and how many more there are."""
-    details = error.errors()
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    return f"{_line(details[0], model)}{more}"
-
-
-def _line(detail: ErrorDetails, model: type[BaseModel]) -> str:
-    field = ".".join(str(part) for part in detail["loc"])
-    if detail["type"] == "extra_forbidden":
-        return f"{field}: unknown key, allowed are {', '.join(_fields_at(model, detail['loc'][:-1]))}"
-    if detail["type"] == "missing":
-        return f"{field}: missing"
-    message = detail["msg"].removeprefix("Value error, ")
-    if detail["type"] == "value_error":
-        # Validators of whole sections begin with the name of the field that they mean.
-        of_section = isinstance(detail["input"], Mapping | BaseModel)
-        return f"{field}{'.' if field and of_section else ': ' if field else ''}{message}"
-    value = repr(detail["input"])
-    if len(value) > VALUE_MAX:
-        value = "..."
-    return f"{field}: {value} is not allowed: {message[:1].lower()}{message[1:]}"
-
-
-def _fields_at(model: type[BaseModel], parents: tuple[int | str, ...]) -> list[str]:
-    for part in parents:
-        inner = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
-        if isinstance(inner, type) and issubclass(inner, BaseModel):
-            model = inner
-    return list(model.model_fields)
-
-
 def _scenario(given: object) -> Scenario:
     """A preset's name, `{preset: ..., overrides}`, or all fields. Raises ValueError (pydantic shows it)."""
-    if isinstance(given, str):
-        try:
-            return preset(given)
-        except ScenarioError as error:
-            raise ValueError(f"scenario: {str(error).removeprefix('preset: ')}") from error
-    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
-        raise ValueError(f"scenario: {given!r} must be a preset's name or a mapping of scenario fields")
-    fields = dict(given)
-    known = ["preset", *Scenario.model_fields]
-    for name in fields:
-        if name not in known:
-            raise ValueError(f"scenario.{name}: unknown key, {_nearest(name, known)}")
     try:
-        if "preset" not in fields:
-            return make_scenario(fields)
-        name = fields.pop("preset")
-        if not isinstance(name, str):
-            raise ScenarioError(f"preset: {name!r} is not one of {', '.join(PRESETS)}")
-        return preset(name, **fields)
+        return make_scenario(given)
     except ScenarioError as error:
-        raise ValueError(f"scenario.{error}") from error
-
-
-def _nearest(name: str, known: list[str]) -> str:
-    """What somebody who wrote `name` may have meant; all there is when nothing is like it."""
-    near = get_close_matches(name, known)
-    return f"did you mean {' or '.join(near)}?" if near else f"allowed are {', '.join(known)}"
+        raise ValueError(f"scenario{'.' if isinstance(given, Mapping) else ': '}{error}") from error

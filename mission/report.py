@@ -68,7 +68,9 @@ class Report(msgspec.Struct, frozen=True):
     actions: dict[str, int]
     """Slots by what became of their action: flown, clipped, late, missing, rejected."""
     configurations: dict[str, int]
-    """Slots by where the surface's configuration came from: action, held, default."""
+    """Slots by where the surface's configuration came from: action, held, default, closed_form, optimised."""
+    ris: str | None
+    """The mission's `ris.mode`; None without a mission file."""
     restarts: int
     """Nodes that came back after they were lost."""
     log_complete: bool
@@ -109,6 +111,7 @@ def summarise(run: Path, log: FlightLog, mission: Mission | None) -> Report:
         ),
         actions=dict(Counter(slot.outcome for slot in flown)),
         configurations=dict(Counter(link.configuration for link in links)),
+        ris=mission.ris.mode if mission else None,
         restarts=sum(event.kind == "node_back" for event in events),
         log_complete=log.complete,
         log_lost_bytes=log.lost_bytes,
@@ -122,7 +125,7 @@ def table(report: Report) -> RenderableType:
     users.add_column("side at the start")
     users.add_column("mean rate, kbit/s", justify="right")
     users.add_column(f"slots below {report.qos_bps / 1e3:g} kbit/s", justify="right")
-    for number, user in enumerate(report.users, start=1):
+    for number, user in enumerate(report.users):
         users.add_row(str(number), user.region, f"{user.mean_rate_bps / 1e3:.0f}", f"{user.below_qos:.0%}")
 
     total = Table(show_header=False)
@@ -134,6 +137,11 @@ def table(report: Report) -> RenderableType:
         ("sum rate", f"{report.sum_rate_bps / 1e6:.3f} Mbit/s"),
         ("energy", f"{report.energy_j / 1e3:.2f} kJ ({report.power_w:.0f} W)"),
         ("efficiency", f"{report.efficiency_bit_per_j / 1e3:.2f} kbit/J"),
+        (
+            "surface set by",
+            f"{report.ris or 'unknown'}: "
+            + ", ".join(f"{source} {slots}" for source, slots in report.configurations.items()),
+        ),
         (
             "displacement commanded / planned / flown",
             f"{moved.commanded_m:.1f} / {moved.planned_m:.1f} / {moved.flown_m:.1f} m",

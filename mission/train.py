@@ -5,15 +5,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import yaml
 from pydantic import ValidationError
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from agent.training_config import TrainingConfig
-from mission.mission_file import one_line
+from mission.yaml_file import YamlError, read_mapping
 from rf_model import scenario as scenarios
+from rf_model.config_errors import one_line
 
 if TYPE_CHECKING:
     from agent.training import Result
@@ -28,17 +28,10 @@ def load_config(path: Path | None, **overrides: int | None) -> TrainingConfig:
 
     Raises TrainInputError.
     """
-    fields: object = {}
-    if path is not None:
-        try:
-            fields = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise TrainInputError(f"{path}: {error.strerror}") from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise TrainInputError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
-        if not isinstance(fields, dict):
-            raise TrainInputError(f"{path}: must hold a mapping of fields ({', '.join(TrainingConfig.model_fields)})")
-    assert isinstance(fields, dict)
+    try:
+        fields = {} if path is None else read_mapping(path, TrainingConfig.model_fields)
+    except YamlError as error:
+        raise TrainInputError(str(error)) from error
     fields |= {name: value for name, value in overrides.items() if value is not None}
     try:
         return TrainingConfig.model_validate(fields)

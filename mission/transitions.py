@@ -1,18 +1,19 @@
 """Flights as training data: every transition of a run folder, rebuilt from its recording alone."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import torch
 from torch import Tensor
 
+from agent.decoding import PhysicalAction, decode, encode
 from agent.observation import Normalisation, observe_message
 from agent.offline import Transitions
 from bus import topics
-from bus.messages import ChannelState, Complex, FlownSlot, RisConfiguration, SlotOpened, Vec3
+from bus.messages import ChannelState, Complex, FlownSlot, RisConfiguration, SlotOpened
 from mission.flight_log import FlightLogError, read
 from mission.mission_file import Mission, load
 from mission.run_folder import MISSION_NAME
@@ -20,18 +21,11 @@ from rf_model.channels import Channels
 from rf_model.reward import reward
 from rf_model.scenario import Scenario
 from rf_model.slot_radio import SlotRadio
-from rf_model.star_ris import Trc
+from rf_model.surfaces import read_coefficients
 from rf_model.world import slot_rates, track_power
 
-EXACT = {
-    "timing": "pre",
-    "surface": "coupled",
-    "phase_bits": None,
-    "element_loss_db": 0.0,
-    "csi_error_variance": 0.0,
-    "csi_delay_slots": 0,
-}
-"""What a scenario must say for a recording to hold all that a transition takes."""
+TOLERANCE = 1e-3
+"""Of coefficients, of beams relative to the root of P_max and of moves [m]: within it a raw action gives a decision."""
 
 
 @dataclass(frozen=True)
@@ -51,49 +45,59 @@ class Transition:
 
 
 def transitions(run: Path) -> list[Transition]:
-    """Every slot of which opening, configuration and flight were recorded, in order.
+    """Every slot of which opening, configuration and flight were recorded, in order; see `rebuilt`.
 
-    The channels that the closing slot would have had are drawn again as the rf node would have drawn them. Raises
-    FlightLogError or MissionError when the folder holds no readable flight.
+    Raises FlightLogError or MissionError when the folder holds no readable flight, FlightLogError when channels that
+    nobody published cannot be drawn again.
     """
     mission = load(run / MISSION_NAME)
-    require_exact(mission.scenario, run)
     log = read(run)
-    opened = log.by_slot(topics.SLOT)
-    channels = log.by_slot(topics.CSI)
-    configurations = log.by_slot(topics.CONFIGURATION)
-    for opening in opened.values():
-        if opening.closing:
-            channels.setdefault(opening.slot, _after_the_end(mission, opening))
-    normalisation = Normalisation.of(mission.scenario)
-    observations = {slot: observe_message(state, normalisation) for slot, state in channels.items()}
+    try:
+        return rebuilt(mission, log.by_slot(topics.SLOT), log.by_slot(topics.CSI), log.by_slot(topics.CONFIGURATION))
+    except ValueError as error:
+        raise FlightLogError(f"{run}: {error}") from error
+
+
+def rebuilt(
+    mission: Mission,
+    opened: Mapping[int, SlotOpened],
+    observed: Mapping[int, ChannelState],
+    configurations: Mapping[int, RisConfiguration],
+) -> list[Transition]:
+    """Transitions from a flight's messages, each kind by slot.
+
+    What nobody published is drawn again as the rf node would have drawn it: what would have been observed in the
+    closing slot, and, where the agent saw estimates (`csi_error_variance`, `csi_delay_slots`), the channels themselves.
+    Slots are left out that were not recorded whole, and those in which the surface or the base station did what no raw
+    action says (as beams of less than full power). Raises ValueError when the mission's seed draws other users than
+    were recorded.
+    """
+    scenario = mission.scenario
+    seen = _drawn_again(scenario, mission.seed, opened, observed) | dict(observed)
+    exact = scenario.model_copy(update={"csi_error_variance": 0.0, "csi_delay_slots": 0})
+    channels = seen if exact == scenario else _drawn_again(exact, mission.seed, opened, observed)
+    normalisation = Normalisation.of(scenario)
     found = []
     for slot in sorted(configurations):
         flown = opened[slot + 1].flown if slot + 1 in opened else None
-        if flown is None or slot not in observations or slot + 1 not in observations:
+        rated = slot if scenario.timing == "pre" else slot + 1
+        if flown is None or slot not in seen or slot + 1 not in seen or rated not in channels:
             continue
-        configuration = configurations[slot]
+        action = _executed(flown, configurations[slot], scenario)
+        raw = encode(action, scenario)
+        if not _same(decode(raw, scenario), action, scenario):
+            continue
+        yaw_rad = seen[slot].attitude_rad[2]
         found.append(
             Transition(
                 slot=slot,
-                observation=observations[slot],
-                action=encode(flown.planned_enu, configuration, mission.scenario),
-                reward=slot_reward(mission.scenario, channels[slot], configuration, flown),
-                next_observation=observations[slot + 1],
+                observation=observe_message(seen[slot], normalisation),
+                action=raw.to(torch.float32),
+                reward=_slot_reward(scenario, channels[rated], action, flown, yaw_rad),
+                next_observation=observe_message(seen[slot + 1], normalisation),
             )
         )
     return found
-
-
-def require_exact(scenario: Scenario, run: Path) -> None:
-    """Raise FlightLogError for a scenario in which a slot's worth is not that of what the agent saw and sent.
-
-    There the channels in the recording are not those of the rates, or the action is not that of the surface.
-    """
-    for field, exact in EXACT.items():
-        value = getattr(scenario, field)
-        if value != exact:
-            raise FlightLogError(f"{run}: scenario.{field}: {value!r}: transitions are rebuilt only with {exact!r}")
 
 
 def data_set(runs: Sequence[Path]) -> tuple[Scenario, Transitions]:
@@ -119,66 +123,56 @@ def data_set(runs: Sequence[Path]) -> tuple[Scenario, Transitions]:
     )
 
 
-def slot_reward(scenario: Scenario, channels: ChannelState, configuration: RisConfiguration, flown: FlownSlot) -> float:
-    """What a slot was worth, computed anew from channels, configuration and flown track."""
-    trc = Trc(
-        torch.tensor(configuration.theta_reflection, dtype=torch.float64),
-        torch.tensor(configuration.split_angle, dtype=torch.float64),
-        torch.tensor(configuration.sign, dtype=torch.float64),
+def _executed(flown: FlownSlot, configuration: RisConfiguration, scenario: Scenario) -> PhysicalAction:
+    """What was planned after limits and envelope, and what surface and base station were set to."""
+    independent = scenario.surface == "independent"  # of all others theta_transmission follows from the rest
+    angles = (configuration.theta_reflection, configuration.split_angle, configuration.sign)
+    free = configuration.theta_transmission if independent else []
+    return PhysicalAction(
+        displacement_enu=torch.tensor(flown.planned_enu, dtype=torch.float64),
+        trc=read_coefficients(scenario, *(torch.tensor(field, dtype=torch.float64) for field in (*angles, free))),
+        beamforming=_complex(configuration.beamforming),
     )
+
+
+def _same(first: PhysicalAction, second: PhysicalAction, scenario: Scenario) -> bool:
+    pairs = [(first.displacement_enu, second.displacement_enu)]
+    pairs += list(zip(first.trc.coefficients(), second.trc.coefficients(), strict=True))
+    pairs.append((first.beamforming / scenario.p_max_w**0.5, second.beamforming / scenario.p_max_w**0.5))
+    return all((a - b).abs().max() <= TOLERANCE for a, b in pairs)
+
+
+def _slot_reward(
+    scenario: Scenario, channels: ChannelState, action: PhysicalAction, flown: FlownSlot, yaw_rad: float
+) -> float:
+    """What a slot was worth, computed anew from channels, what was executed and the flown track."""
     drawn = Channels(
         direct=_complex(channels.direct),
         bs_ris=_complex(channels.bs_ris),
         ris_user=_complex(channels.ris_user),
         transmission=torch.tensor([region == "transmission" for region in channels.regions]),
     )
-    rates = slot_rates(scenario, drawn, trc, _complex(configuration.beamforming))
+    rates = slot_rates(scenario, drawn, action.trc, action.beamforming)
     time_s = torch.tensor([sample.time_s for sample in flown.track], dtype=torch.float64)
     velocity = torch.tensor([sample.velocity_enu for sample in flown.track], dtype=torch.float64)
-    yaw = torch.tensor(channels.attitude_rad[2], dtype=torch.float64)
+    yaw = torch.tensor(yaw_rad, dtype=torch.float64)
     return reward(scenario, rates.fair_rate_bps, track_power(scenario, time_s, velocity, yaw)).item()
 
 
-def encode(displacement_enu: Vec3, configuration: RisConfiguration, scenario: Scenario) -> Tensor:
-    """Raw action [3 + 3N + 2MJ], float32, that `agent.decoding.decode` turns into this decision."""
-    beams = torch.view_as_real(_complex(configuration.beamforming)).flatten()
-    parts = (
-        _motion(displacement_enu, scenario),
-        torch.tensor(configuration.theta_reflection, dtype=torch.float64) / math.pi,
-        torch.tensor(configuration.split_angle, dtype=torch.float64) * (4 / math.pi) - 1,
-        beams / beams.abs().max().clip(min=1e-12),
-        torch.tensor(configuration.sign, dtype=torch.float64),
-    )
-    return torch.cat(parts).to(torch.float32).clip(-1, 1)
-
-
-def _motion(displacement_enu: Vec3, scenario: Scenario) -> Tensor:
-    reach = scenario.v_max_mps * scenario.slot_s
-    if scenario.motion == "cartesian":
-        return torch.tensor(displacement_enu, dtype=torch.float64) / reach
-    east, north, up = displacement_enu
-    distance = math.hypot(east, north, up)
-    elevation = math.asin(up / distance) if distance > 0 else 0.0
-    azimuth = math.atan2(north, east) % (2 * math.pi)
-    return torch.tensor(
-        [2 * distance / reach - 1, elevation / (math.pi / 2), azimuth / math.pi - 1], dtype=torch.float64
-    )
-
-
-def _after_the_end(mission: Mission, closing: SlotOpened) -> ChannelState:
-    opened = SlotOpened(
-        slot=closing.slot,
-        slots=closing.slots,
-        time_s=closing.time_s,
-        position_enu=closing.position_enu,
-        velocity_enu=closing.velocity_enu,
-        attitude_rad=closing.attitude_rad,
-        closing=False,
-        flown=None,
-    )
-    (state,) = SlotRadio(mission.scenario, mission.seed).open(opened)
-    assert isinstance(state, ChannelState)
-    return state
+def _drawn_again(
+    scenario: Scenario, seed: int, opened: Mapping[int, SlotOpened], observed: Mapping[int, ChannelState]
+) -> dict[int, ChannelState]:
+    """What the rf node publishes at these openings, by slot; at the closing one, what it would if it were not that."""
+    radio = SlotRadio(scenario, seed)
+    states = {}
+    for slot in sorted(opened):
+        for message in radio.open(msgspec.structs.replace(opened[slot], closing=False)):
+            if isinstance(message, ChannelState):
+                states[slot] = message
+    for slot in sorted(states.keys() & observed.keys()):
+        if not np.allclose(states[slot].users_enu, observed[slot].users_enu):
+            raise ValueError(f"seed: {seed} draws other users than the recorded ones, first in slot {slot}")
+    return states
 
 
 def _complex(rows: list[list[Complex]]) -> Tensor:

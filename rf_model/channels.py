@@ -66,8 +66,13 @@ class LinkGains:
 class Fading:
     """All that is random in the channels of a slot, or of a block of slots (one more dimension in front)."""
 
-    scattered: Tensor
-    """CN(0, 1) [..., JM + NM + JN]: of h_b, H and h_s."""
+    direct: Tensor
+    """CN(0, 1) of h_b as pairs of reals [..., J, M, 2]: products of complex and real tensors would first turn the real
+    one complex."""
+    bs_ris: Tensor
+    """Of H [..., N, M, 2]."""
+    ris_user: Tensor
+    """Of h_s [..., J, N, 2]."""
     user_sight: Tensor | None
     """Even over [0, 1) [..., J]: below its probability, a surface-to-user link is in sight; None: nothing to draw."""
     bs_sight: Tensor | None
@@ -76,7 +81,9 @@ class Fading:
     def slot(self, index: int) -> "Fading":
         """One slot of a block."""
         return Fading(
-            self.scattered[index],
+            self.direct[index],
+            self.bs_ris[index],
+            self.ris_user[index],
             None if self.user_sight is None else self.user_sight[index],
             None if self.bs_sight is None else self.bs_sight[index],
         )
@@ -87,8 +94,8 @@ def line_of_sight_probability(elevation_sine: Tensor) -> Tensor:
 
     Urban air-to-ground links of Al-Hourani, Kandeepan, Lardner, "Optimal LAP Altitude for Maximum Coverage", 2014.
     """
-    elevation_deg = torch.rad2deg(torch.asin(elevation_sine.clamp(-1.0, 1.0)))
-    return torch.sigmoid(0.16 * (elevation_deg - 9.61) - math.log(9.61))
+    elevation_rad = torch.asin(elevation_sine.clamp(-1.0, 1.0))
+    return torch.sigmoid(math.degrees(0.16) * elevation_rad - (0.16 * 9.61 + math.log(9.61)))
 
 
 def link_gains(scenario: Scenario, position_enu: Tensor, users_enu: Tensor) -> LinkGains:
@@ -103,15 +110,20 @@ def link_gains(scenario: Scenario, position_enu: Tensor, users_enu: Tensor) -> L
 def draw_fading(scenario: Scenario, batch: tuple[int, ...], generator: torch.Generator, dtype: torch.dtype) -> Fading:
     """Fading of a batch shape, on the generator's device; `dtype` is the real type.
 
-    Up to three draws, each for the whole batch: scattering, users' lines of sight, the base station's.
+    Up to three draws, each for the whole batch: scattering (h_b, H, h_s in a row), users' lines of sight, the base
+    station's.
     """
     J, M, N = scenario.users, scenario.antennas, scenario.elements
+    scattered = torch.view_as_real(rayleigh((*batch, J * M + N * M + J * N), generator, dtype))
+    direct, bs_ris, ris_user = torch.split(scattered, [J * M, N * M, J * N], dim=-2)
 
     def uniform(shape: tuple[int, ...]) -> Tensor:
         return torch.rand(shape, generator=generator, dtype=dtype, device=generator.device)
 
     return Fading(
-        scattered=rayleigh((*batch, J * M + N * M + J * N), generator, dtype),
+        direct=torch.unflatten(direct, -2, (J, M)),
+        bs_ris=torch.unflatten(bs_ris, -2, (N, M)),
+        ris_user=torch.unflatten(ris_user, -2, (J, N)),
         user_sight=uniform((*batch, J)) if scenario.ris_user == "p_los" else None,
         bs_sight=uniform(batch) if scenario.path_loss.bs_ris != "paper" else None,
     )
@@ -137,7 +149,7 @@ def faded_channels(
     Rayleigh without. A position that is not finite makes its own row's channels so, and no other's.
     """
     batch = position_enu.shape[:-1]
-    J, M, N = scenario.users, scenario.antennas, scenario.elements
+    J, M = scenario.users, scenario.antennas
     base_station = constant(scenario.base_station_enu, position_enu.dtype, position_enu.device)
     ends = torch.cat((base_station.expand(*batch, 1, 3), users_enu), dim=-2)
     offset, distance = offset_and_distance(position_enu.unsqueeze(-2), ends)
@@ -147,15 +159,13 @@ def faded_channels(
         scenario, position_enu, users_enu, base_station, distance[..., 0], distance[..., 1:], -direction[..., 1:, 2]
     )
     responses = _panel_response(scenario, cosines)
-    # Products of complex and real tensors would first turn the real one complex: scale pairs of reals instead.
-    direct, bs_ris, ris_user = torch.split(torch.view_as_real(fading.scattered), [J * M, N * M, J * N], dim=-2)
 
-    h_b = torch.unflatten(direct, -2, (J, M)) * gains.direct[..., None, None]
+    h_b = fading.direct * gains.direct[..., None, None]
     if scenario.direct == "blocked":
         h_b = torch.zeros_like(h_b)
 
     los, scattered = _rician(scenario, gains.bs_ris, gains.bs_ris_blocked, gains.bs_ris_sight, fading.bs_sight)
-    H = torch.unflatten(bs_ris, -2, (N, M)) * scattered[..., None, None, None]
+    H = fading.bs_ris * scattered[..., None, None, None]
     if los is not None:
         # Eq. 4 has the conjugate of eq. 5 at the angle of departure, which is eq. 5 at the opposite direction.
         towards_surface = line_response(direction[..., 0, 1], M)
@@ -163,7 +173,7 @@ def faded_channels(
         H = torch.addcmul(H, torch.view_as_real(steered), los[..., None, None, None])
 
     los, scattered = _rician(scenario, gains.ris_user, gains.ris_user_blocked, gains.ris_user_sight, fading.user_sight)
-    h_s = torch.unflatten(ris_user, -2, (J, N)) * scattered[..., None, None]
+    h_s = fading.ris_user * scattered[..., None, None]
     if los is not None:
         h_s = torch.addcmul(h_s, torch.view_as_real(responses[..., 1:, :]), los[..., None, None])
 
@@ -206,20 +216,21 @@ def _link_gains(
     carrier, models = scenario.carrier_hz, scenario.path_loss
     nlos_height = scenario.user_height_m if scenario.nlos_height == "user" else position_enu[..., 2:3]
 
+    direct_gain_db = scenario.bs_gain_db - scenario.direct_extra_db
     if models.bs_user == "paper":
         _, direct_distance = offset_and_distance(base_station, users_enu)
-        direct_db = path_loss.paper_nlos_db(carrier, direct_distance, nlos_height)
+        direct = path_loss.paper_nlos_amplitude(carrier, direct_distance, nlos_height, direct_gain_db)
     else:
         ground = {"tr38901_umi": path_loss.tr38901_umi_nlos_db, "tr38901_uma": path_loss.tr38901_uma_nlos_db}
         direct_db = ground[models.bs_user](
             carrier, horizontal_distance(base_station, users_enu), scenario.base_station_enu[2], scenario.user_height_m
         )
-    direct = path_loss.amplitude(direct_db + (scenario.direct_extra_db - scenario.bs_gain_db))
+        direct = path_loss.amplitude(direct_db - direct_gain_db)
 
     bs_ris_gain_db = scenario.bs_gain_db + scenario.ris_gain_db - scenario.element_loss_db
     bs_sight: Tensor | float = 1.0
     if models.bs_ris == "paper":
-        bs_ris = bs_ris_blocked = path_loss.amplitude(path_loss.paper_los_db(carrier, bs_distance) - bs_ris_gain_db)
+        bs_ris = bs_ris_blocked = path_loss.paper_los(carrier).amplitude(bs_distance, bs_ris_gain_db)
     else:
         aerial = path_loss.AERIAL[models.bs_ris]
         height = position_enu[..., 2]
@@ -227,22 +238,20 @@ def _link_gains(
         bs_ris_blocked = path_loss.amplitude(aerial.nlos_db(carrier, bs_distance, height) - bs_ris_gain_db)
         bs_sight = aerial.los_probability(horizontal_distance(base_station, position_enu), height)
 
-    if models.ris_user == "paper":
-        los_db = path_loss.paper_los_db(carrier, user_distance)
-        blocked_db = los_db + BLOCKED_DB
-        if scenario.ris_user == "nlos":
-            blocked_db = path_loss.paper_nlos_db(carrier, user_distance, nlos_height)
+    clear_model = path_loss.paper_los if models.ris_user == "paper" else path_loss.free_space
+    clear_excess_db, blocked_excess_db = ELEVATION_EXCESS_DB if models.ris_user == "elevation" else (0.0, BLOCKED_DB)
+    ris_user = clear_model(carrier).amplitude(user_distance, -clear_excess_db)
+    if models.ris_user == "paper" and scenario.ris_user == "nlos":
+        ris_user_blocked = path_loss.paper_nlos_amplitude(carrier, user_distance, nlos_height)
     else:
-        free_db = path_loss.free_space_db(carrier, user_distance)
-        los_excess, blocked_excess = ELEVATION_EXCESS_DB if models.ris_user == "elevation" else (0.0, BLOCKED_DB)
-        los_db, blocked_db = free_db + los_excess, free_db + blocked_excess
+        ris_user_blocked = ris_user * 10.0 ** ((clear_excess_db - blocked_excess_db) / 20.0)
     return LinkGains(
         direct=direct,
         bs_ris=bs_ris,
         bs_ris_blocked=bs_ris_blocked,
         bs_ris_sight=bs_sight,
-        ris_user=path_loss.amplitude(los_db),
-        ris_user_blocked=path_loss.amplitude(blocked_db),
+        ris_user=ris_user,
+        ris_user_blocked=ris_user_blocked,
         ris_user_sight=(
             line_of_sight_probability(elevation_sine)
             if scenario.ris_user == "p_los"

@@ -19,7 +19,7 @@ def constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device
 def offset_and_distance(start_enu: Tensor, end_enu: Tensor) -> tuple[Tensor, Tensor]:
     """Vector from start to end [..., 3] and its length [...], at least `CLOSEST_M`."""
     offset = end_enu - start_enu
-    return offset, (offset * offset).sum(-1).clamp_min(CLOSEST_M**2).sqrt()
+    return offset, torch.linalg.vector_norm(offset, dim=-1).clamp_min(CLOSEST_M)
 
 
 def horizontal_distance(start_enu: Tensor, end_enu: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
 """From channels, coefficients and beamforming to SINR and rates (paper eq. 12-14)."""
 
 import math
+from functools import lru_cache
 from typing import Literal
 
 import torch
@@ -30,7 +31,7 @@ def sinr(received: Tensor, noise_w: float, reading: Literal["power", "amplitude"
 
     `power`: powers of the other streams added; `amplitude`: eq. 13 as printed, |own| / (|sum of others| + sigma^2).
     """
-    others = ~torch.eye(received.shape[-1], dtype=torch.bool, device=received.device)
+    others = _others(received.shape[-1], received.real.dtype, received.device)
     if reading == "power":
         power = _squared(received)
         return power.diagonal(dim1=-2, dim2=-1) / ((power * others).sum(-1) + noise_w)
@@ -65,6 +66,13 @@ def check_beamforming(beamforming: Tensor, scenario: Scenario) -> None:
     highest = powers.max().item()
     if highest > scenario.p_max_w * (1.0 + POWER_TOLERANCE):
         raise BeamformingError(f"beamforming: {highest:g} W {per} is above p_max ({scenario.p_max_w:g} W)")
+
+
+@lru_cache(maxsize=16)
+def _others(users: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """[J, J]: 1 for the streams of other users, 0 for the own, kept because every slot asks for it."""
+    with torch.inference_mode(False):  # what is kept may be needed for gradients later
+        return 1.0 - torch.eye(users, dtype=dtype, device=device)
 
 
 def _squared(values: Tensor) -> Tensor:

@@ -38,7 +38,7 @@ def initial_users(
 
     inner, outer = scenario.user_radius_m
     radius = (inner**2 + uniform(shape) * (outer**2 - inner**2)).sqrt()
-    axis = scenario.panel_heading_rad + math.pi * (_sides(scenario, generator.device, dtype) < 0)
+    axis = scenario.panel_heading_rad + math.pi * (constant(_sides(scenario), dtype, generator.device) < 0)
     angle = axis + (2 * uniform(shape) - 1) * scenario.user_half_angle_rad
     centre_x, centre_y = scenario.user_centre_enu
     position = torch.stack(
@@ -66,10 +66,10 @@ def walked_users(scenario: Scenario, users: Users, noise: Tensor) -> Users:
 
     With `user_bounds: sector`, a user whose step would leave its sector does not step, and turns round.
     """
-    heading = users.heading_rad + HEADING_NOISE_RAD[scenario.mobility] * noise
+    heading = torch.add(users.heading_rad, noise, alpha=HEADING_NOISE_RAD[scenario.mobility])
     step = scenario.user_speed_mps * scenario.slot_s
     x, y, z = users.position_enu.unbind(-1)
-    x, y = x + step * torch.cos(heading), y + step * torch.sin(heading)
+    x, y = torch.add(x, torch.cos(heading), alpha=step), torch.add(y, torch.sin(heading), alpha=step)
     moved = torch.stack((x, y, z), dim=-1)
     if scenario.user_bounds == "none":
         return Users(position_enu=moved, heading_rad=heading)
@@ -82,19 +82,19 @@ def walked_users(scenario: Scenario, users: Users, noise: Tensor) -> Users:
 
 def in_sector(scenario: Scenario, position_enu: Tensor) -> Tensor:
     """Which users [..., J] are within the sector that they started in."""
-    x = position_enu[..., 0] - scenario.user_centre_enu[0]
-    y = position_enu[..., 1] - scenario.user_centre_enu[1]
-    inner, outer = scenario.user_radius_m
-    radius = (x * x + y * y).sqrt()
-    heading = scenario.panel_heading_rad
-    forward = x * math.cos(heading) + y * math.sin(heading)
-    along = forward * _sides(scenario, position_enu.device, position_enu.dtype)
-    within_angle = along >= radius * math.cos(scenario.user_half_angle_rad) - 1e-9
-    return (radius >= inner) & (radius <= outer) & within_angle
+    dtype, device = position_enu.dtype, position_enu.device
+    heading, sides = scenario.panel_heading_rad, _sides(scenario)
+    axes = tuple(side * part for side in sides for part in (math.cos(heading), math.sin(heading)))
+    plane = position_enu[..., :2] - constant(scenario.user_centre_enu, dtype, device)
+    radius = torch.linalg.vector_norm(plane, dim=-1)
+    along = (plane * constant(axes, dtype, device).view(-1, 2)).sum(-1)
+    within_angle = torch.sub(along, radius, alpha=math.cos(scenario.user_half_angle_rad)) >= -1e-9
+    within_ring: Tensor = radius.clamp(*scenario.user_radius_m) == radius
+    return within_ring & within_angle
 
 
-def _sides(scenario: Scenario, device: torch.device, dtype: torch.dtype) -> Tensor:
-    """Whether each user's sector lies along the panel's normal (+1) or against it (-1) [J].
+def _sides(scenario: Scenario) -> tuple[float, ...]:
+    """Whether each user's sector lies along the panel's normal (+1) or against it (-1): J numbers.
 
     The first P are on the base station's side of the panel, as it is at the start.
     """
@@ -103,4 +103,4 @@ def _sides(scenario: Scenario, device: torch.device, dtype: torch.dtype) -> Tens
     north = scenario.base_station_enu[1] - scenario.start_enu[1]
     facing = 1.0 if east * math.cos(heading) + north * math.sin(heading) >= 0 else -1.0
     first = scenario.reflection_count
-    return constant((facing,) * first + (-facing,) * (scenario.users - first), dtype, device)
+    return (facing,) * first + (-facing,) * (scenario.users - first)

@@ -1,7 +1,7 @@
-"""The rf node: the simulated radio world of one vehicle on the bus.
+"""The rf node: the simulated radio worlds of one vehicle or several on the bus.
 
 Inputs `SlotOpened`, `Action` and `VehicleState` are queued by zenoh's threads in the order in which they come and
-handled here by one thread; `slot_radio.SlotRadio` decides what they mean.
+handled here by one thread, whichever vehicle they are for; `slot_radio.SlotRadio` decides what they mean.
 
     SlotOpened(k) --> is Action(k-1) still on its way?  yes: wait for it, at most 1 s of wall clock
                          | no, or it came, or waited long enough
@@ -9,11 +9,18 @@ handled here by one thread; `slot_radio.SlotRadio` decides what they mean.
                       RisConfiguration(k-1) if still due, LinkReport(k-1), ChannelState(k)
     Action(k)     --> RisConfiguration(k), at once unless the newest VehicleState is past the deadline: then
                       SlotOpened(k+1), where the bridge says whether it got it in time, settles it
+
+When `ris.mode` sets the surface without the agent, nothing waits: SlotOpened(k) --> LinkReport(k-1),
+RisConfiguration(k), ChannelState(k), and actions are not listened to.
 """
 
+import gc
 import queue
+import sys
 import time
+import traceback
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 import torch
@@ -31,8 +38,10 @@ from bus.messages import (
     VehicleState,
 )
 from rf_model.history import History
+from rf_model.ris_control import RisControl
 from rf_model.scenario import Scenario
-from rf_model.slot_radio import SlotRadio
+from rf_model.seeding import seed_of
+from rf_model.slot_radio import AGENT, SlotRadio, rehearse
 
 NODE = "rf"
 ACTION_WAIT_S = 1.0
@@ -41,78 +50,114 @@ HEALTH_PERIOD_S = 1.0
 
 
 _Item = SlotOpened | Action | VehicleState | Literal["ended"]
+_Inbox = queue.SimpleQueue[tuple["_Vehicle", _Item]]
+
+
+def vehicle_seeds(seed: int, vehicles: Sequence[str]) -> dict[str, int]:
+    """A seed for each vehicle: the first has `seed` itself, every other one that follows from `seed` and its name."""
+    seeds = {name: seed_of(seed, *name.encode()) >> 1 for name in vehicles}
+    return seeds | {vehicles[0]: seed}
 
 
 def run(
     scenario: Scenario,
-    seed: int,
-    vehicle: str,
+    seeds: Mapping[str, int],
     session: zenoh.Session,
     *,
     action_deadline_s: float,
     until_ended: bool,
+    ris: RisControl = AGENT,
 ) -> int:
-    """Serve one vehicle until the flight has ended (`until_ended`) or for ever; returns exit code 0.
+    """Serve vehicles by name, each with a seed and a world of its own; returns the exit code.
 
-    `action_deadline_s` [s of vehicle time after a slot's opening] is when an action seems late. `bus.topics.watch_end`
-    says when the flight has ended. Raises ValueError for a bad vehicle name.
+    Ends when all their flights have ended (`until_ended`; `bus.topics.watch_end` says when), or never. One that fails,
+    which would be an error of ours, leaves the bus; the others go on. The code is 0, or 1 if one failed; then it also
+    ends when all have. `action_deadline_s` [s of vehicle time after a slot's opening] is when an action seems late.
+    Raises ValueError for a bad vehicle name, RisControlError for a mode that the scenario does not allow.
     """
     torch.set_num_threads(1)  # tensors of one slot are small; the other cores are for the other nodes
-    return _RfNode(scenario, seed, vehicle, session, action_deadline_s).serve(until_ended)
+    rehearse(scenario, ris)
+    gc.collect()
+    gc.freeze()  # or going through all that is loaded takes 0.1 s in the middle of some slot
+    inbox: _Inbox = queue.SimpleQueue()
+    serving: list[_Vehicle] = []
+    failed = False
+    try:
+        for name, seed in seeds.items():
+            serving.append(_Vehicle(name, SlotRadio(scenario, seed, ris), session, inbox, action_deadline_s))
+        while serving:
+            addressee, item = _next(inbox, min(vehicle.wakes_s for vehicle in serving))
+            for vehicle in list(serving):
+                try:
+                    over = vehicle.step(item if vehicle is addressee else None) and until_ended
+                except Exception:  # noqa: BLE001 - whatever is wrong with one vehicle, the others fly on
+                    print(f"rf: {vehicle.name} failed", file=sys.stderr)
+                    traceback.print_exc()
+                    failed = over = True
+                if over:
+                    serving.remove(vehicle)
+                    vehicle.leave()
+        return int(failed)
+    finally:
+        for vehicle in serving:
+            vehicle.leave()
 
 
-class _RfNode:
+def _next(inbox: _Inbox, until_s: float) -> "tuple[_Vehicle, _Item] | tuple[None, None]":
+    """What comes first, or nothing until then (monotonic clock)."""
+    try:
+        return inbox.get(timeout=max(0.0, until_s - time.monotonic()))
+    except queue.Empty:
+        return None, None
+
+
+class _Vehicle:
+    """One vehicle's world on the bus."""
+
     def __init__(
-        self, scenario: Scenario, seed: int, vehicle: str, session: zenoh.Session, action_deadline_s: float
+        self, name: str, radio: SlotRadio, session: zenoh.Session, inbox: _Inbox, action_deadline_s: float
     ) -> None:
-        self._radio = SlotRadio(scenario, seed)
+        self.name = name
+        self._radio = radio
         self._deadline_s = action_deadline_s
         self._vehicle_time_s = float("-inf")
-        self._inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
         self._refused: Counter[str] = Counter()
         self._waiting: tuple[SlotOpened, float] | None = None
         """A slot that waits for the last one's action, and until when on the monotonic clock."""
+        self._next_health = time.monotonic()
 
-        self._csi = topics.Publisher(session, vehicle, topics.CSI)
-        self._configuration = topics.Publisher(session, vehicle, topics.CONFIGURATION)
-        self._link = topics.Publisher(session, vehicle, topics.LINK)
-        self._event = topics.Publisher(session, vehicle, topics.EVENT)
-        self._health = topics.Publisher(session, vehicle, topics.HEALTH)
-        self._configurations = History(session, vehicle, topics.CONFIGURATION)
-        self._links = History(session, vehicle, topics.LINK)
-        self._declarations: list[topics.Declared] = [
-            self._configurations,
-            self._links,
-            topics.subscribe(session, vehicle, topics.ACTION, self._inbox.put, self._refused),
-            topics.subscribe(session, vehicle, topics.STATE, self._inbox.put, self._refused),
-            topics.subscribe(session, vehicle, topics.SLOT, self._inbox.put, self._refused),
-            *topics.watch_end(session, vehicle, lambda: self._inbox.put("ended")),
-            topics.declare_alive(session, vehicle, NODE),
+        def put(item: _Item) -> None:
+            inbox.put((self, item))
+
+        self._csi = topics.Publisher(session, name, topics.CSI)
+        self._configuration = topics.Publisher(session, name, topics.CONFIGURATION)
+        self._link = topics.Publisher(session, name, topics.LINK)
+        self._event = topics.Publisher(session, name, topics.EVENT)
+        self._health = topics.Publisher(session, name, topics.HEALTH)
+        self._configurations = History(session, name, topics.CONFIGURATION)
+        self._links = History(session, name, topics.LINK)
+        self._declarations: list[topics.Declared] = [self._configurations, self._links]
+        if radio.needs_actions:
+            self._declarations += [
+                topics.subscribe(session, name, topics.ACTION, put, self._refused),
+                topics.subscribe(session, name, topics.STATE, put, self._refused),
+            ]
+        self._declarations += [
+            topics.subscribe(session, name, topics.SLOT, put, self._refused),
+            *topics.watch_end(session, name, lambda: put("ended")),
+            topics.declare_alive(session, name, NODE),
         ]
 
-    def serve(self, until_ended: bool) -> int:
-        try:
-            next_health = time.monotonic()
-            while True:
-                now = time.monotonic()
-                if now >= next_health:
-                    self._send_health()
-                    next_health = now + HEALTH_PERIOD_S
-                wake = next_health if self._waiting is None else min(next_health, self._waiting[1])
-                try:
-                    item = self._inbox.get(timeout=max(0.0, wake - now))
-                except queue.Empty:
-                    self._give_up_waiting()
-                    continue
-                if self._handle(item) and until_ended:
-                    return 0
-        finally:
-            self._send_health()
-            for declaration in self._declarations:
-                declaration.undeclare()
+    @property
+    def wakes_s(self) -> float:
+        """When `step` is due although nothing came (monotonic clock)."""
+        return self._next_health if self._waiting is None else min(self._next_health, self._waiting[1])
 
-    def _handle(self, item: _Item) -> bool:
-        """Take one item in; whether it ended the flight."""
+    def step(self, item: _Item | None) -> bool:
+        """Take one item in, if there is one, and do what is due by the clock; whether it ended the flight."""
+        if time.monotonic() >= self._next_health:
+            self._send_health()
+            self._next_health = time.monotonic() + HEALTH_PERIOD_S
         match item:
             case VehicleState():
                 self._vehicle_time_s = item.time_s
@@ -127,26 +172,29 @@ class _RfNode:
                 if self._radio.must_wait(item):
                     self._waiting = (item, time.monotonic() + ACTION_WAIT_S)
                 else:
-                    self._publish(self._radio.open(item))
+                    self._publish(self._radio.opening(item))
             case "ended":
                 self._open_waiting()
                 return True
-        self._give_up_waiting()
-        return False
-
-    def _give_up_waiting(self) -> None:
         if self._waiting is not None and time.monotonic() >= self._waiting[1]:
             self._radio.counters["waited_in_vain"] += 1
             self._open_waiting()
+        return False
+
+    def leave(self) -> None:
+        """Say the last counters and go off the bus."""
+        self._send_health()
+        for declaration in self._declarations:
+            declaration.undeclare()
 
     def _open_waiting(self) -> None:
         if self._waiting is not None:
             opened, _ = self._waiting
             self._waiting = None
-            self._publish(self._radio.open(opened))
+            self._publish(self._radio.opening(opened))
 
-    def _publish(self, messages: list[Message]) -> None:
-        """Send what the radio world says, and why it rejected actions."""
+    def _publish(self, messages: Iterable[Message]) -> None:
+        """Send what the radio world says, and why it did not set what it should have."""
         for message in messages:
             match message:
                 case RisConfiguration():

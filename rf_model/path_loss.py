@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 
 import torch
@@ -17,21 +18,61 @@ def amplitude(loss_db: Tensor) -> Tensor:
     return torch.exp(loss_db * (-math.log(10.0) / 20.0))
 
 
+@dataclass(frozen=True)
+class LogDistance:
+    """A loss that is linear in the distance's logarithm: in dB, and as the power law that this is of the amplitude."""
+
+    at_1_m_db: float
+    slope_db: float
+    """For each decade."""
+
+    def db(self, distance: Tensor) -> Tensor:
+        """L = L(1 m) + slope log10 d."""
+        return self.slope_db * torch.log10(distance) + self.at_1_m_db
+
+    def amplitude(self, distance: Tensor, gain_db: Tensor | float = 0.0) -> Tensor:
+        """`amplitude` of the loss less a gain: 10^((G - L(1 m)) / 20) d^(-slope / 20)."""
+        return distance ** (self.slope_db / -20.0) * 10.0 ** ((gain_db - self.at_1_m_db) / 20.0)
+
+
+@lru_cache(maxsize=16)
+def free_space(carrier_hz: float) -> LogDistance:
+    """Friis: 20 log10(4 pi d f / c)."""
+    return LogDistance(20.0 * math.log10(4.0 * math.pi * carrier_hz / SPEED_OF_LIGHT_MPS), 20.0)
+
+
+@lru_cache(maxsize=16)
+def paper_los(carrier_hz: float) -> LogDistance:
+    """Paper eq. 7, f in GHz, d the 3-D distance."""
+    return LogDistance(20.0 * math.log10(carrier_hz / 1e9) + 28.0, 22.0)
+
+
+@lru_cache(maxsize=16)
+def _paper_ground(carrier_hz: float) -> LogDistance:
+    """Paper eq. 9 for users at 1.5 m."""
+    return LogDistance(26.0 * math.log10(carrier_hz / 1e9) + 22.7, 36.7)
+
+
 def free_space_db(carrier_hz: float, distance: Tensor) -> Tensor:
     """Friis: 20 log10(4 pi d f / c)."""
-    return 20.0 * torch.log10(distance) + 20.0 * math.log10(4.0 * math.pi * carrier_hz / SPEED_OF_LIGHT_MPS)
+    return free_space(carrier_hz).db(distance)
 
 
 def paper_los_db(carrier_hz: float, distance: Tensor) -> Tensor:
     """Paper eq. 7, f in GHz, d the 3-D distance."""
-    return 20.0 * math.log10(carrier_hz / 1e9) + 28.0 + 22.0 * torch.log10(distance)
+    return paper_los(carrier_hz).db(distance)
 
 
 def paper_nlos_db(carrier_hz: float, distance: Tensor, height_m: Tensor | float) -> Tensor:
     """Paper eq. 8 and 9; `height_m` is z_s, broadcasting with `distance`."""
-    distance_db = 36.7 * torch.log10(distance) + (26.0 * math.log10(carrier_hz / 1e9) + 22.7)
-    nlos = distance_db - 0.3 * (height_m - 1.5)
+    nlos = _paper_ground(carrier_hz).db(distance) - _height_gain_db(height_m)
     return torch.maximum(nlos, paper_los_db(carrier_hz, distance))
+
+
+def paper_nlos_amplitude(carrier_hz: float, distance: Tensor, height_m: Tensor | float, gain_db: float = 0.0) -> Tensor:
+    """`amplitude` of `paper_nlos_db` less a gain: the greater loss is the smaller amplitude."""
+    nlos = _paper_ground(carrier_hz).amplitude(distance, gain_db + _height_gain_db(height_m))
+    return torch.minimum(nlos, paper_los(carrier_hz).amplitude(distance, gain_db))
 
 
 def tr38901_umi_los_db(carrier_hz: float, distance_2d: Tensor, base_height_m: float, user_height_m: float) -> Tensor:
@@ -118,6 +159,11 @@ AERIAL: Mapping[str, Aerial] = MappingProxyType(
     }
 )
 """By their names in `PathLoss.bs_ris`."""
+
+
+def _height_gain_db(height_m: Tensor | float) -> Tensor | float:
+    """What a user above 1.5 m gains in eq. 9."""
+    return 0.3 * (height_m - 1.5)
 
 
 def _aerial_los_probability(distance_2d: Tensor, d1: Tensor, p1: Tensor) -> Tensor:

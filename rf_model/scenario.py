@@ -9,9 +9,9 @@ import math
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
 from airframe.power import (
     Climb,
@@ -24,6 +24,7 @@ from airframe.power import (
     hover_power,
     panel_area_m2,
 )
+from rf_model.config_errors import lines
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 PRINTED_INDUCED_VELOCITY_MPS = 4.028
@@ -46,20 +47,31 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Decibel = Annotated[float, Field(ge=-200, le=200)]
 Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
-Point = tuple[Metres, Metres, Metres]
 WindSpeed = Annotated[float, Field(ge=-50, le=50)]
-Interval = tuple[Metres, Metres]
+# YAML has lists, no tuples; what is in them stays strict.
+Point = Annotated[tuple[Metres, Metres, Metres], Strict(False)]
+Interval = Annotated[tuple[Metres, Metres], Strict(False)]
+Box = Annotated[tuple[Interval, Interval, Interval], Strict(False)]
+StateExtra: TypeAlias = Literal["users", "time"]
+
+
+def _in_order(extra: tuple[StateExtra, ...]) -> tuple[StateExtra, ...]:
+    if len(set(extra)) < len(extra):
+        raise ValueError(f"{', '.join(extra)}: each may be named once")
+    return tuple(sorted(extra, reverse=True))  # users, time: the order in the state, whichever they are named in
 
 
 class ScenarioError(ValueError):
     """A scenario that cannot be; the text names the field, the value and what is allowed, in one line."""
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+class StrictModel(BaseModel):
+    """A frozen config in which no value is converted, except whole numbers to floats: `users: "6"` is a mistake."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class PathLoss(_Frozen):
+class PathLoss(StrictModel):
     """Path-loss model of each link, because no 3GPP model fits all; a set's name (`paper`, `3gpp`) stands for three."""
 
     bs_user: Literal["paper", "tr38901_umi", "tr38901_uma"] = "paper"
@@ -78,17 +90,21 @@ class PathLoss(_Frozen):
             return value
         if value not in PATH_LOSS_SETS:
             raise ValueError(
-                f"path_loss: {value!r} is not one of the sets {', '.join(PATH_LOSS_SETS)}; "
+                f"{value!r} is not one of the sets {', '.join(PATH_LOSS_SETS)}; "
                 "or name a model for each of bs_user, bs_ris, ris_user"
             )
         return PATH_LOSS_SETS[value]
 
 
-class Scenario(_Frozen):
+class Scenario(StrictModel):
     """Geometry, radio, surface, users, vehicle and reward of one radio world.
 
-    The defaults are the preset `physical_1km`; take a preset with `preset(name, **overrides)`.
+    The defaults are the preset `physical_1km`; take another with `preset(name, **overrides)`, or in a file by its name
+    alone or as `preset:` beside the fields that differ.
     """
+
+    SHORTHANDS: ClassVar[tuple[str, ...]] = ("preset",)
+    """Keys that stand for fields."""
 
     # Time
     slots: Annotated[int, Field(ge=1, le=1_000_000)] = 30
@@ -116,13 +132,13 @@ class Scenario(_Frozen):
     surface: Literal["coupled", "independent", "dual", "conventional"] = "coupled"
     """`coupled`: STAR-RIS with theta_T = theta_R +- pi/2; `independent`: STAR-RIS with free phases on both sides;
     `dual`: elements in turn only reflect and only transmit; `conventional`: all only reflect."""
-    phase_bits: Literal[1, 2, 3] | None = None
+    phase_bits: Annotated[int, Field(ge=1, le=3)] | None = None
     """Each phase takes one of 2^bits values; none given: any."""
     element_loss_db: Annotated[float, Field(ge=0, le=100)] = 0.0
     """Loss of an element on whatever it reflects or transmits."""
 
     # Geometry
-    box_enu: tuple[Interval, Interval, Interval] = ((-100.0, 100.0), (-100.0, 100.0), (30.0, 120.0))
+    box_enu: Box = ((-100.0, 100.0), (-100.0, 100.0), (30.0, 120.0))
     """Where the vehicle may be: (min, max) of x, y and z [m]."""
     start_enu: Point = (0.0, 0.0, 60.0)
     base_station_enu: Point = (-1000.0, 0.0, 25.0)
@@ -134,8 +150,8 @@ class Scenario(_Frozen):
     """Which users the surface serves by transmission: those beyond the panel's plane, or the last J - P, always."""
 
     # Users
-    user_centre_enu: tuple[Metres, Metres] = (0.0, 0.0)
-    user_radius_m: tuple[NonNegative, Positive] = (20.0, 100.0)
+    user_centre_enu: Interval = (0.0, 0.0)
+    user_radius_m: Annotated[tuple[NonNegative, Positive], Strict(False)] = (20.0, 100.0)
     user_half_angle_rad: Annotated[float, Field(gt=0, le=math.pi / 2)] = math.pi / 2
     """Users start in two sectors of this ring about the centre, this far to either side of the panel's axis."""
     user_height_m: Annotated[float, Field(ge=0, le=30)] = 1.5
@@ -203,7 +219,7 @@ class Scenario(_Frozen):
     drag_coefficient: NonNegative = 2.1
     ris_mass_kg_per_m2: Annotated[float, Field(ge=0, le=100)] = 0.0
     """Mass of the panel, for each square metre of elements, which the vehicle carries on top of `weight_n`."""
-    wind_enu: tuple[WindSpeed, WindSpeed, WindSpeed] = (0.0, 0.0, 0.0)
+    wind_enu: Annotated[tuple[WindSpeed, WindSpeed, WindSpeed], Strict(False)] = (0.0, 0.0, 0.0)
     """Velocity of the air over ground [m/s]; power is that of the velocity through the air."""
 
     # Reward and observation
@@ -213,6 +229,28 @@ class Scenario(_Frozen):
     """Weight of the power, relative to hovering without a panel."""
     state_norm: Literal["link_reference", "raw"] = "link_reference"
     """Observations divide each link by the root of its mean gain at the start and positions by the box, or nothing."""
+    state_extra: Annotated[tuple[StateExtra, ...], Strict(False), AfterValidator(_in_order)] = ()
+    """What is observed beyond eq. 22: where the users are as seen from the vehicle, and the part of `slots` gone by."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_preset(cls, value: object) -> object:
+        if isinstance(value, str):
+            if value not in PRESETS:
+                raise ValueError(f"{value!r} is not one of {', '.join(PRESETS)}")
+            return PRESETS[value].model_dump()
+        if not isinstance(value, Mapping):
+            raise ValueError(f"{value!r} must be a preset's name or a mapping of scenario fields")
+        if "preset" not in value:
+            return value
+        fields = dict(value)
+        name = fields.pop("preset")
+        if not isinstance(name, str) or name not in PRESETS:
+            raise ValueError(f"preset: {name!r} is not one of {', '.join(PRESETS)}")
+        of_preset = PRESETS[name].model_dump()
+        if isinstance(fields.get("path_loss"), Mapping):
+            fields["path_loss"] = of_preset["path_loss"] | dict(fields["path_loss"])
+        return of_preset | fields
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -335,21 +373,15 @@ def dbm_to_w(power_dbm: float) -> float:
     return float(10.0 ** ((power_dbm - 30.0) / 10.0))
 
 
-def make_scenario(fields: Mapping[str, Any]) -> Scenario:
-    """A scenario from its fields, unnamed ones at their defaults. Raises ScenarioError with a one-line text."""
+def make_scenario(fields: object) -> Scenario:
+    """A scenario from a preset's name or a mapping of fields, with `preset` or defaults for those unnamed.
+
+    Raises ScenarioError with a one-line text.
+    """
     try:
-        return Scenario.model_validate(dict(fields))
+        return Scenario.model_validate(fields)
     except ValidationError as error:
-        raise ScenarioError("; ".join(_one_line(dict(detail)) for detail in error.errors())) from error
-
-
-def _one_line(detail: dict[str, Any]) -> str:
-    if detail["type"] == "value_error":
-        return str(detail["ctx"]["error"])
-    field = ".".join(str(part) for part in detail["loc"])
-    if detail["type"] == "extra_forbidden":
-        return f"{field}: no such field in a scenario"
-    return f"{field}: {detail['input']!r} is not allowed: {detail['msg']}"
+        raise ScenarioError("; ".join(lines(error, Scenario))) from error
 
 
 _LITERAL: dict[str, Any] = {
@@ -409,9 +441,4 @@ def preset(name: str, **overrides: Any) -> Scenario:  # noqa: ANN401 - any field
 
     Raises ScenarioError, in one line, for an unknown preset or field and for values that are not allowed.
     """
-    if name not in PRESETS:
-        raise ScenarioError(f"preset: {name!r} is not one of {', '.join(PRESETS)}")
-    fields = PRESETS[name].model_dump()
-    if isinstance(overrides.get("path_loss"), Mapping):
-        overrides["path_loss"] = fields["path_loss"] | dict(overrides["path_loss"])
-    return make_scenario(fields | overrides)
+    return make_scenario({"preset": name, **overrides})

@@ -5,11 +5,10 @@ same users and channels. All in double precision.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,6 +16,7 @@ from bus.messages import (
     Action,
     ChannelState,
     Complex,
+    ConfigurationSource,
     FlownSlot,
     LinkReport,
     Message,
@@ -32,13 +32,16 @@ from rf_model.csi import Observed
 from rf_model.geometry import panel_frame
 from rf_model.link import BeamformingError, check_beamforming, identity_beamforming
 from rf_model.mobility import Users, initial_users, move_users
+from rf_model.reference.solve import ReferenceInputError
 from rf_model.reward import reward
+from rf_model.ris_control import RisControl, reference_solution
 from rf_model.scenario import Scenario
+from rf_model.seeding import generator_of
 from rf_model.star_ris import Coefficients, TrcError
 from rf_model.surfaces import read_coefficients, surface_of
 from rf_model.world import slot_power, slot_rates, track_power
 
-Source = Literal["action", "held", "default"]
+AGENT = RisControl()
 _USERS, _CHANNELS, _ESTIMATES = 0, 1, 2
 
 
@@ -62,17 +65,22 @@ class _OpenSlot:
 class SlotRadio:
     """One vehicle's radio world.
 
-    `open` takes each `SlotOpened` and `apply` each `Action`; both return the messages to publish, in order. In every
-    slot exactly one `RisConfiguration` and one `LinkReport` come out, whatever goes in. `counters` says what happened:
-    slots, flights, repeated_slots and lost_slots; applied, held and default (together one a slot); rejected, stray,
-    doubtful (seemed late) and late (was, by the bridge's word).
+    `open` (or `opening`) takes each `SlotOpened` and `apply` each `Action`; both return the messages to publish, in
+    order. In every slot exactly one `RisConfiguration` and one `LinkReport` come out, whatever goes in. `counters` says
+    what happened: slots, flights, repeated_slots and lost_slots; applied, held, default, closed_form and optimised
+    (together one a slot); rejected, stray, doubtful (seemed late) and late (was, by the bridge's word); unsolved.
+
+    When `ris` has the surface set without the agent, that happens as the slot opens, and every action is stray. Raises
+    RisControlError when the scenario does not allow it.
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
+    def __init__(self, scenario: Scenario, seed: int, ris: RisControl = AGENT) -> None:
+        ris.require_fit(scenario)
         self.counters: Counter[str] = Counter()
         self.rejections: list[str] = []
-        """Why actions were rejected, one line each, oldest first; whoever reports them clears the list."""
+        """Why what should have been set was not, one line each, oldest first; whoever reports them clears the list."""
         self._scenario = scenario
+        self._ris = ris
         self._seed = seed
         self._neutral = _Decision(
             surface_of(scenario).neutral(torch.float64), identity_beamforming(scenario, torch.complex128)
@@ -80,11 +88,16 @@ class SlotRadio:
         self._decision = self._neutral
         self._ever_applied = False
         self._slot: _OpenSlot | None = None
-        self._settled: Source | None = None
+        self._settled: ConfigurationSource | None = None
         self._doubtful: Action | None = None
         self._walked: tuple[int, Users] | None = None
         self._observed = Observed(scenario)
         self._time_s = 0.0
+
+    @property
+    def needs_actions(self) -> bool:
+        """Whether the surface is set by actions."""
+        return not self._ris.by_itself
 
     @property
     def slot(self) -> SlotOpened | None:
@@ -109,33 +122,42 @@ class SlotRadio:
         )
 
     def open(self, opened: SlotOpened) -> list[Message]:
-        """Close the open slot (its configuration, if still due, and its report), then open this one (its channels)."""
-        messages: list[Message] = []
+        """Close the open slot (its configuration, if still due, and its report), then open this one.
+
+        Of the new slot come its configuration, when that needs no action, and its channels.
+        """
+        return list(self.opening(opened))
+
+    @torch.inference_mode()
+    def opening(self, opened: SlotOpened) -> Iterator[Message]:
+        """`open`, message by message as soon as each is known; to be taken to its end before anything else."""
         self._time_s = opened.time_s
         if self._slot is not None:
             before = self._slot.opened
             if opened.slot == before.slot and opened.time_s == before.time_s:
                 self.counters["repeated_slots"] += 1
-                return []
+                return
             if opened.slot <= before.slot:
                 self._forget_flight()
         slot = None if opened.closing and self._scenario.timing == "pre" else self._opened(opened)
         if self._slot is not None:
             self.counters["lost_slots"] += opened.slot - self._slot.opened.slot - 1
             if self._settled is None:
-                messages.append(self._settle_overdue(self._slot, opened))
-            messages.append(self._report(self._slot, opened, self._slot if self._scenario.timing == "pre" else slot))
+                yield self._settle_overdue(self._slot, opened)
+            yield self._report(self._slot, opened, self._slot if self._scenario.timing == "pre" else slot)
         if opened.closing:
             self._forget_flight()
-            return messages
+            return
         assert slot is not None
         self._slot = slot
         self._settled = None
         self._doubtful = None
         self.counters["slots"] += 1
-        messages.append(_channel_state(self._slot))
-        return messages
+        if self._ris.mode != "agent":
+            yield self._set_by_itself(slot, self._ris.mode)
+        yield _channel_state(slot)
 
+    @torch.inference_mode()
     def apply(self, action: Action, late: bool = False) -> list[Message]:
         """Check the open slot's action and set it, or keep what is set when it is bad.
 
@@ -173,11 +195,26 @@ class SlotRadio:
         self._ever_applied = True
         return self._settle(slot, "action", "applied")
 
+    def _set_by_itself(self, slot: _OpenSlot, mode: Literal["closed_form", "optimised"]) -> RisConfiguration:
+        """From what is known of the slot's channels; checked as an action is."""
+        try:
+            solution = reference_solution(self._scenario, self._ris, slot.observed)
+            decision = _Decision(solution.trc, solution.beamforming)
+            surface_of(self._scenario).check(decision.trc)
+            check_beamforming(decision.beamforming, self._scenario)
+        except (ReferenceInputError, TrcError, BeamformingError) as error:
+            self.counters["unsolved"] += 1
+            self.rejections.append(f"{mode} of slot {slot.opened.slot}: {error}")
+            return self._keep(slot)
+        self._decision = decision
+        self._ever_applied = True
+        return self._settle(slot, mode, mode)
+
     def _keep(self, slot: _OpenSlot) -> RisConfiguration:
-        kept: Source = "held" if self._ever_applied else "default"
+        kept: ConfigurationSource = "held" if self._ever_applied else "default"
         return self._settle(slot, kept, kept)
 
-    def _settle(self, slot: _OpenSlot, source: Source, counter: str) -> RisConfiguration:
+    def _settle(self, slot: _OpenSlot, source: ConfigurationSource, counter: str) -> RisConfiguration:
         self._settled = source
         self.counters[counter] += 1
         return _configuration(slot.opened, source, self._decision)
@@ -187,9 +224,9 @@ class SlotRadio:
         position = torch.tensor(opened.position_enu, dtype=torch.float64)
         roll, pitch, yaw = torch.tensor(opened.attitude_rad, dtype=torch.float64)
         frame = panel_frame(yaw) if self._scenario.attitude == "level" else panel_frame(yaw, roll, pitch)
-        fading = draw_fading(self._scenario, (), self._generator(opened.slot, _CHANNELS), torch.float64)
+        fading = draw_fading(self._scenario, (), generator_of(self._seed, opened.slot, _CHANNELS), torch.float64)
         channels = faded_channels(self._scenario, position, frame, users.position_enu, fading)
-        observed = self._observed.of(channels, self._generator(opened.slot, _ESTIMATES))
+        observed = self._observed.of(channels, generator_of(self._seed, opened.slot, _ESTIMATES))
         return _OpenSlot(opened, users, channels, observed)
 
     def _report(self, slot: _OpenSlot, next_opened: SlotOpened, rated: _OpenSlot | None) -> LinkReport:
@@ -251,16 +288,12 @@ class SlotRadio:
     def _users_of(self, slot: int) -> Users:
         """Users of a slot, walked there from slot 0: the same whenever this node was started."""
         if self._walked is None or self._walked[0] > slot:
-            self._walked = (0, initial_users(self._scenario, (), self._generator(0, _USERS), torch.float64))
+            self._walked = (0, initial_users(self._scenario, (), generator_of(self._seed, 0, _USERS), torch.float64))
         walked, users = self._walked
         for step in range(walked + 1, slot + 1):
-            users = move_users(self._scenario, users, self._generator(step, _USERS))
+            users = move_users(self._scenario, users, generator_of(self._seed, step, _USERS))
         self._walked = (slot, users)
         return users
-
-    def _generator(self, slot: int, stream: int) -> torch.Generator:
-        state = np.random.SeedSequence((self._seed, slot, stream)).generate_state(1, np.uint64)
-        return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
 
     def _forget_flight(self) -> None:
         """What was set does not outlive the flight."""
@@ -271,6 +304,27 @@ class SlotRadio:
         self._decision = self._neutral
         self._ever_applied = False
         self._observed.forget()
+
+
+def rehearse(scenario: Scenario, ris: RisControl) -> None:
+    """Open two slots of a throwaway world, so that what is compiled or loaded at first use is there before a flight.
+
+    The first time on a machine the reference compiles for 15 to 30 s.
+    """
+    radio = SlotRadio(scenario, 0, ris)
+    for slot in range(2):
+        radio.open(
+            SlotOpened(
+                slot=slot,
+                slots=2,
+                time_s=slot * scenario.slot_s,
+                position_enu=scenario.start_enu,
+                velocity_enu=(0.0, 0.0, 0.0),
+                attitude_rad=(0.0, 0.0, scenario.panel_heading_rad),
+                closing=False,
+                flown=None,
+            )
+        )
 
 
 def _came_in_time(slot: int, next_opened: SlotOpened) -> bool:
@@ -296,7 +350,7 @@ def _channel_state(slot: _OpenSlot) -> ChannelState:
     )
 
 
-def _configuration(opened: SlotOpened, source: Source, decision: _Decision) -> RisConfiguration:
+def _configuration(opened: SlotOpened, source: ConfigurationSource, decision: _Decision) -> RisConfiguration:
     trc = decision.trc
     signs: list[Sign] = [1 if sign > 0 else -1 for sign in trc.sign.tolist()]
     return RisConfiguration(

@@ -47,6 +47,9 @@ class Surface(Protocol):
         for any finite numbers. Differentiable except in the signs; through a quantised phase as if it were not.
         """
 
+    def encode(self, trc: Coefficients) -> tuple[Tensor, Tensor]:
+        """Numbers [..., continuous * N] and [..., signs * N] of which `decode` makes these coefficients [..., N]."""
+
     def neutral(self, dtype: torch.dtype) -> Coefficients:
         """What the surface shows before anyone configured it [N]: phases zero, energy split evenly where it can."""
 
@@ -90,6 +93,9 @@ class Coupled:
         theta, split = torch.split(continuous.clip(-1, 1), self._elements, dim=-1)
         return Trc(_phase(theta, self._bits), _split(split), torch.where(signs > 0, 1.0, -1.0))
 
+    def encode(self, trc: Coefficients) -> tuple[Tensor, Tensor]:
+        return torch.cat((_of_phase(trc.theta_reflection), _of_split(trc.split_angle)), dim=-1), trc.sign
+
     def neutral(self, dtype: torch.dtype) -> Trc:
         return neutral_trc(self._elements, dtype)
 
@@ -111,6 +117,10 @@ class Independent:
     def decode(self, continuous: Tensor, signs: Tensor) -> IndependentTrc:
         reflection, split, transmission = torch.split(continuous.clip(-1, 1), self._elements, dim=-1)
         return IndependentTrc(_phase(reflection, self._bits), _split(split), _phase(transmission, self._bits))
+
+    def encode(self, trc: Coefficients) -> tuple[Tensor, Tensor]:
+        phases = _of_phase(trc.theta_reflection), _of_phase(trc.theta_transmission)
+        return torch.cat((phases[0], _of_split(trc.split_angle), phases[1]), dim=-1), trc.sign[..., :0]
 
     def neutral(self, dtype: torch.dtype) -> IndependentTrc:
         zeros = torch.zeros(self._elements, dtype=dtype)
@@ -138,6 +148,9 @@ class _FixedSplit:
         theta = _phase(continuous.clip(-1, 1), self._bits)
         split = (self._split_angle * _below(theta.dtype)).to(theta)
         return Trc(theta, split.expand_as(theta), torch.ones_like(theta))
+
+    def encode(self, trc: Coefficients) -> tuple[Tensor, Tensor]:
+        return _of_phase(trc.theta_reflection), trc.sign[..., :0]
 
     def neutral(self, dtype: torch.dtype) -> Trc:
         zeros = torch.zeros(self._elements, dtype=dtype)
@@ -204,6 +217,16 @@ def _phase(number: Tensor, bits: int | None) -> Tensor:
 def _split(number: Tensor) -> Tensor:
     """[-1, 1] to [0, pi/2]."""
     return (number + 1) * (math.pi / 4 * _below(number.dtype))
+
+
+def _of_phase(theta: Tensor) -> Tensor:
+    """`_phase` undone."""
+    return (theta / math.pi).clip(-1, 1)
+
+
+def _of_split(angle: Tensor) -> Tensor:
+    """`_split` undone."""
+    return (angle * (4 / math.pi) - 1).clip(-1, 1)
 
 
 def _require_grid(name: str, theta: Tensor, bits: int | None) -> None:

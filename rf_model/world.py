@@ -9,6 +9,7 @@ from torch import Tensor
 from airframe.power import drag_force, total_power
 from rf_model.channels import Channels, link_gains
 from rf_model.fairness import fair_rate_bps, hfi, jfi
+from rf_model.geometry import constant
 from rf_model.link import effective_channel, rate_bps, sinr
 from rf_model.scenario import Scenario
 from rf_model.star_ris import Coefficients
@@ -61,9 +62,18 @@ def slot_rates(scenario: Scenario, channels: Channels, trc: Coefficients, beamfo
 def slot_power(scenario: Scenario, velocity_enu: Tensor, yaw_rad: Tensor) -> Tensor:
     """Total power (eq. 19) [W], [...], at a velocity over ground [..., 3] with the panel's normal at yaw [...].
 
-    It is that of the velocity through the air: over ground less the scenario's wind.
+    It is that of the velocity through the air: over ground less the scenario's wind. A single velocity on the CPU that
+    asks for no gradient is computed in floats by the same formula, because small tensors cost fifty times as much.
     """
-    x, y, z = (ground - wind for ground, wind in zip(velocity_enu.unbind(-1), scenario.wind_enu, strict=True))
+    alone = velocity_enu.numel() == 3 and velocity_enu.shape[:-1] == yaw_rad.shape
+    if alone and velocity_enu.is_cpu and not _differentiated(velocity_enu, yaw_rad):
+        ground, yaw = velocity_enu.flatten().tolist(), yaw_rad.item()
+        x, y, z = (over - wind for over, wind in zip(ground, scenario.wind_enu, strict=True))
+        power = total_power(scenario.wing, scenario.panel, x, y, z, math.cos(yaw), math.sin(yaw))
+        return torch.full_like(yaw_rad, power, dtype=velocity_enu.dtype)
+    if any(scenario.wind_enu):
+        velocity_enu = velocity_enu - constant(scenario.wind_enu, velocity_enu.dtype, velocity_enu.device)
+    x, y, z = velocity_enu.unbind(-1)
     return total_power(scenario.wing, scenario.panel, x, y, z, torch.cos(yaw_rad), torch.sin(yaw_rad))
 
 
@@ -97,6 +107,10 @@ def reference_gains(scenario: Scenario) -> ReferenceGains:
         bs_ris=math.sqrt(gains.bs_ris_power.item()),
         ris_user=math.sqrt(gains.ris_user_power.mean().item()),
     )
+
+
+def _differentiated(*tensors: Tensor) -> bool:
+    return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
 
 
 def _user_grid(scenario: Scenario, radii: int = 16, angles: int = 16) -> Tensor:

@@ -143,24 +143,18 @@ def products(left: Complex, right: Complex) -> Complex:
 @_compiled
 def effective_channel(slot: Slot, coefficients: Complex) -> Complex:
     """g_j = h_b,j^T + h_s,j^T Phi H (paper eq. 12), [J, M]."""
-    return through_surface(slot, slot.direct, slot.bs_ris, coefficients)
-
-
-@_compiled
-def through_surface(slot: Slot, direct: Complex, surface: Complex, coefficients: Complex) -> Complex:
-    """direct[j, k] + sum over n of h_s[j, n] phi_j[n] surface[k, n], [J, K]."""
-    result = np.empty_like(direct)
+    channel = np.empty_like(slot.direct)
     scattered = np.empty(slot.ris_user.shape[1], np.complex128)
-    for j in range(direct.shape[0]):
+    for j in range(channel.shape[0]):
         side = slot.side[j]
         for n in range(scattered.shape[0]):
             scattered[n] = slot.ris_user[j, n] * coefficients[side, n]
-        for k in range(surface.shape[0]):
-            total = direct[j, k]
+        for m in range(channel.shape[1]):
+            total = slot.direct[j, m]
             for n in range(scattered.shape[0]):
-                total += scattered[n] * surface[k, n]
-            result[j, k] = total
-    return result
+                total += scattered[n] * slot.bs_ris[m, n]
+            channel[j, m] = total
+    return channel
 
 
 @_compiled
@@ -240,28 +234,33 @@ def coefficient_gradient(slot: Slot, surface_beam: Complex, received: Complex) -
 
 @_compiled
 def coefficient_step(
-    slot: Slot, beams: Complex, received: Complex, reached: float, step: float, coefficients: Complex
+    slot: Slot, reached: float, step: float, coefficients: Complex, beams: Complex, channel: Complex, received: Complex
 ) -> tuple[float, float]:
-    """Line search along the projected gradient; writes `coefficients`, returns the objective and the next step."""
-    direct_beam = products(slot.direct, beams)
-    surface_beam = beams_at_surface(slot, beams)
-    gradient = coefficient_gradient(slot, surface_beam, received)
-    power = 0.0
+    """Line search along the projected gradient, with beams that stay or follow; writes the last four arguments.
+
+    Following beams force zeros anew at the coefficients tried, each with its power. At high SNR beams that stay would
+    let interference in at any but tiny steps. Returns the objective, which never falls, and the next step.
+    """
+    gradient = coefficient_gradient(slot, beams_at_surface(slot, beams), received)
+    size = 0.0
     for side in range(2):
         for n in range(gradient.shape[1]):
-            power += squared(gradient[side, n])
-    if not power > 0.0:
+            size += squared(gradient[side, n])
+    if not size > 0.0:
         return reached, step
-    unit = np.sqrt(gradient.size / power)
+    unit = np.sqrt(gradient.size / size)
 
     best = 0.0
-    origin = coefficients.copy()
+    origin, held, power = coefficients.copy(), beams.copy(), row_powers(beams)
     for factor in STEP_FACTORS:
         trial = nearest_feasible(slot, origin, step * factor * unit, gradient)
-        value = utility(slot, through_surface(slot, direct_beam, surface_beam, trial))
-        if value > reached:
-            reached, best = value, factor
-            coefficients[:] = trial
+        trial_channel = effective_channel(slot, trial)
+        for candidate in (held, zero_forcing(trial_channel, power)):
+            at_users = products(trial_channel, candidate)
+            value = utility(slot, at_users)
+            if value > reached:
+                reached, best = value, factor
+                coefficients[:], beams[:], channel[:], received[:] = trial, candidate, trial_channel, at_users
     return reached, step * (best if best > 0.0 else 0.5)
 
 
@@ -269,7 +268,7 @@ def coefficient_step(
 def regularised_solve(normal: Complex, multiplier: float, target: Complex) -> tuple[Complex, float, float]:
     """Rows x_k = (normal + mu I)^-1 target_k, their power p, and -dp/dmu / 2; by Cholesky factors.
 
-    `normal` [M, M] is Hermitian and positive semidefinite, mu positive.
+    `normal` [M, M] is Hermitian and positive semidefinite, and only its lower triangle is read; mu is positive.
     """
     K, M = target.shape
     factor = np.empty((M, M), np.complex128)
@@ -315,7 +314,8 @@ def limited_beams(normal: Complex, target: Complex, guess: float) -> Complex:
 
     Newton's method on 1 / sqrt(power), which is concave in mu: left of the root it rises monotonically to it, and from
     the right its first step goes left. It ends where bisection would. Zero counts as 1e-10 of the
-    trace, with which a normal matrix of low rank can still be factored, to about 1e-6 of the result.
+    trace, with which a normal matrix of low rank can still be factored, to about 1e-6 of the result. A user who was
+    given up has no target, so no power and no curvature.
     """
     lowest = SMALLEST
     for m in range(normal.shape[0]):
@@ -323,7 +323,7 @@ def limited_beams(normal: Complex, target: Complex, guess: float) -> Complex:
     multiplier = max(guess, lowest)
     beams, power, curvature = regularised_solve(normal, multiplier, target)
     for _ in range(MULTIPLIER_STEPS):
-        if abs(power - 1.0) <= POWER_TOLERANCE or (multiplier == lowest and power <= 1.0):
+        if abs(power - 1.0) <= POWER_TOLERANCE or (multiplier == lowest and power <= 1.0) or not curvature > 0.0:
             break
         multiplier = max(multiplier + power / curvature * (np.sqrt(power) - 1.0), lowest)
         beams, power, curvature = regularised_solve(normal, multiplier, target)
@@ -344,7 +344,7 @@ def wmmse_beams(slot: Slot, channel: Complex, received: Complex) -> Complex:
         multiplier += loading  # what the multiplier is where the beams are stationary
         for m in range(M):
             target[j, m] = weight[j] * (receiver[j] * channel[j, m]).conjugate()
-            for i in range(M):
+            for i in range(m + 1):
                 normal[m, i] += loading * channel[j, m].conjugate() * channel[j, i]
     if not slot.per_user:
         return limited_beams(normal, target, multiplier)
@@ -370,21 +370,32 @@ def beam_step(slot: Slot, channel: Complex, received: Complex, reached: float, b
 
 
 @_compiled
-def zero_forcing(slot: Slot, channel: Complex) -> Complex:
-    """Regularised zero forcing (regulariser: noise over the mean power of a beam) with equal powers, [J, M]."""
+def row_powers(rows: Complex) -> Real:
+    """Sum of |x|^2 over each row."""
+    powers = np.zeros(rows.shape[0])
+    for j in range(rows.shape[0]):
+        for m in range(rows.shape[1]):
+            powers[j] += squared(rows[j, m])
+    return powers
+
+
+@_compiled
+def zero_forcing(channel: Complex, power: Real) -> Complex:
+    """Regularised zero forcing [J, M] with the power [J] of each beam.
+
+    v_j is along (I + sum over i of p_i conj(g_i) g_i^T)^-1 conj(g_j): for equal powers, the regulariser is noise over
+    the power of a beam.
+    """
     J, M = channel.shape
-    power = 1.0 if slot.per_user else 1.0 / J
     normal = np.zeros((M, M), np.complex128)
     for j in range(J):
         for m in range(M):
-            for i in range(M):
-                normal[m, i] += channel[j, m].conjugate() * channel[j, i]
-    beams, _, _ = regularised_solve(normal, 1.0 / power, channel.conj())
+            for i in range(m + 1):
+                normal[m, i] += power[j] * channel[j, m].conjugate() * channel[j, i]
+    beams, _, _ = regularised_solve(normal, 1.0, channel.conj())
+    sizes = row_powers(beams)
     for j in range(J):
-        size = 0.0
-        for m in range(M):
-            size += squared(beams[j, m])
-        beams[j] *= np.sqrt(power / size) if size > 0.0 else 0.0
+        beams[j] *= np.sqrt(power[j] / sizes[j]) if sizes[j] > 0.0 else 0.0
     return beams
 
 
@@ -447,7 +458,8 @@ def solve_slot(slot: Slot, iterations: int, start: int, coefficients: Complex, b
         coefficients[:] = nearest_feasible(slot, coefficients, 0.0, coefficients)
     channel = effective_channel(slot, coefficients)
     if start != FROM_BOTH:
-        beams[:] = zero_forcing(slot, channel)
+        users = beams.shape[0]
+        beams[:] = zero_forcing(channel, np.full(users, 1.0 if slot.per_user else 1.0 / users))
     received = products(channel, beams)
     reached = utility(slot, received)
     if start != FROM_BOTH and iterations >= 0:
@@ -456,9 +468,7 @@ def solve_slot(slot: Slot, iterations: int, start: int, coefficients: Complex, b
     history[0] = reached
     step = 1.0
     for iteration in range(iterations):
-        reached, step = coefficient_step(slot, beams, received, reached, step, coefficients)
-        channel = effective_channel(slot, coefficients)
-        received = products(channel, beams)
+        reached, step = coefficient_step(slot, reached, step, coefficients, beams, channel, received)
         reached = beam_step(slot, channel, received, reached, beams)
         history[iteration + 1] = reached
 

@@ -193,3 +193,31 @@ def test_acting_keeps_batch_norm_still_and_gives_signs():
     assert torch.equal(mean, agent.continuous_actor.norm.running_mean)
     assert set(action[:, 4:].unique().tolist()) <= {-1.0, 1.0}
     torch.testing.assert_close(agent.act(torch.ones(1, 6)), agent.act(torch.ones(3, 6))[:1])
+
+
+@pytest.mark.parametrize("changes", [{}, {"actor_update": "joint"}, {"saturation_penalty": 0.1}])
+def test_without_signs_all_losses_are_those_of_the_continuous_half(changes):
+    """Surfaces without signs (independent, dual, conventional): an update and a clone of a single actor, by hand."""
+    agent = DualActorDdpg(
+        Sizes(state=6, continuous=4, discrete=0),
+        TrainingConfig(hidden=(32, 16), **({"saturation_penalty": 0.0} | changes)),
+    )
+    full = random_batch()
+    batch = Batch(full.observation, full.action[:, :4], full.reward, full.next_observation, full.terminated)
+    agent.update(batch)  # gives batch norm some statistics
+    after = copy.deepcopy(agent)
+    after.update(batch)
+    judge, actor = after.critic.eval(), copy.deepcopy(agent.continuous_actor).train()
+    pre = actor.pre_tanh(batch.observation)
+    value = judge(batch.observation, torch.tanh(pre)).mean()
+    (changes.get("saturation_penalty", 0.0) * pre.square().mean() - value).backward()
+
+    losses = agent.update(batch)
+    assert losses.discrete_actor is None
+    assert losses.continuous_actor.item() == pytest.approx(-value.item(), rel=1e-5)
+    for ours, reference in zip(agent.continuous_actor.parameters(), actor.parameters(), strict=True):
+        torch.testing.assert_close(ours.grad, reference.grad, rtol=1e-4, atol=1e-7)
+
+    imitated = copy.deepcopy(agent.continuous_actor).train()(batch.observation)
+    assert agent.clone(batch).item() == pytest.approx((imitated - batch.action).square().mean().item(), rel=1e-5)
+    assert all(torch.isfinite(weight).all() for module in agent.modules().values() for weight in module.parameters())

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.decoding import RawActionError, action_size, continuous_size, decode
+from agent.decoding import RawActionError, action_size, continuous_size, decode, encode
 from rf_model.scenario import PRESETS, Scenario, preset
 
 SMALL = preset("physical_small")
@@ -143,3 +143,42 @@ def test_gradients_are_finite_also_at_rest_and_in_silence():
     total = action.displacement_enu.sum() + action.theta_reflection.sum() + action.split_angle.sum()
     (total + torch.view_as_real(action.beamforming).sum()).backward()
     assert torch.isfinite(raw.grad).all()
+
+
+@pytest.mark.parametrize("bits", [None, 1, 3])
+@pytest.mark.parametrize("surface", ["coupled", "independent", "dual", "conventional"])
+@settings(max_examples=15, deadline=None)
+@given(data=st.data())
+def test_what_was_decoded_encodes_to_a_raw_action_that_decodes_to_it(surface, bits, data):
+    scenario = preset(
+        "physical_small",
+        surface=surface,
+        phase_bits=bits,
+        motion=data.draw(st.sampled_from(["cartesian", "spherical"])),
+        p_max=data.draw(st.sampled_from(["total", "per_user"])),
+        climb_up_mps=data.draw(st.sampled_from([None, 3.0])),
+    )
+    numbers = st.one_of(st.floats(-1.5, 1.5, width=32), st.sampled_from([-1.0, 0.0, 1.0]))
+    raw = torch.from_numpy(data.draw(hnp.arrays(np.float64, (2, action_size(scenario)), elements=numbers)))
+    beams = slice(continuous_size(scenario) - 2 * scenario.antennas * scenario.users, continuous_size(scenario))
+    raw[:, beams] = torch.where(raw[:, beams].abs() < 1e-3, 0.25, raw[:, beams])  # silence has no raw action of its own
+    wanted = decode(raw, scenario)
+    back = encode(wanted, scenario)
+    assert back.abs().max() <= 1
+    got = decode(back, scenario)
+    torch.testing.assert_close(got.displacement_enu, wanted.displacement_enu, rtol=0, atol=1e-9)
+    torch.testing.assert_close(got.beamforming, wanted.beamforming, rtol=0, atol=1e-9)
+    for ours, theirs in zip(got.trc.coefficients(), wanted.trc.coefficients(), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-9)
+    assert torch.equal(got.sign, wanted.sign)
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 3))
+def test_a_move_that_is_too_far_is_shortened_in_its_own_direction(motion):
+    scenario = preset("prototype_s4", motion="cartesian")
+    raw = torch.zeros(action_size(scenario), dtype=torch.float64)
+    raw[:3] = torch.tensor(motion, dtype=torch.float64)
+    wanted = 10 * np.array(motion)
+    length = np.linalg.norm(wanted)
+    move = decode(raw, scenario).displacement_enu.numpy()
+    np.testing.assert_allclose(move, wanted * min(1, 10 / max(length, 1e-300)), atol=1e-12)

@@ -1,9 +1,8 @@
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airframe.stopping import speed_to_stop_within, stop_distance
+from airframe.stopping import stop_distance
 
 positive = st.floats(0.1, 20)
 
@@ -24,18 +23,3 @@ def test_stop_distance_by_integration(speed, deceleration, reaction_s):
             travelled += v * (v / deceleration) / 2
             break
     assert stop_distance(speed, deceleration, reaction_s) == pytest.approx(travelled, abs=0.05)
-
-
-@given(st.floats(0, 500), positive, st.floats(0, 3))
-def test_the_largest_speed_just_stops(distance, deceleration, reaction_s):
-    speed = speed_to_stop_within(distance, deceleration, reaction_s)
-    assert stop_distance(speed, deceleration, reaction_s) == pytest.approx(distance, rel=1e-6, abs=1e-6)
-
-
-def test_no_room_no_speed():
-    assert speed_to_stop_within(-3.0, 2.0, 0.5) == 0.0
-
-
-def test_tensors():
-    distances = torch.tensor([-1.0, 0.0, 6.0])
-    assert torch.allclose(speed_to_stop_within(distances, 3.0), torch.tensor([0.0, 0.0, 6.0]))

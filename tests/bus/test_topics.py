@@ -30,7 +30,7 @@ vectors = st.lists(vec3, max_size=3)
 numbers = st.lists(finite, max_size=4)
 signs = st.lists(st.sampled_from([-1, 1]), max_size=4)
 regions = st.lists(st.sampled_from(["reflection", "transmission"]), max_size=3)
-sources = st.sampled_from(["action", "held", "default"])
+sources = st.sampled_from(["action", "held", "default", "closed_form", "optimised"])
 track = st.lists(st.builds(m.TrackSample, time_s=finite, position_enu=vec3, velocity_enu=vec3), max_size=3)
 flown = st.builds(
     m.FlownSlot,

@@ -6,10 +6,14 @@ import sys
 import pytest
 
 HEAVY = ("torch", "numba", "matplotlib", "zenoh", "numpy", "pymavlink", "gymnasium", "foxglove")
-COMMANDS = ("fly", "sitl", "rf", "agent", "bridge", "train", "report", "replay")
+COMMANDS = ("fly", "sitl", "rf", "agent", "bridge", "train", "report", "replay", "reproduce")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], *([command, "--help"] for command in COMMANDS)], ids=" ".join)
+@pytest.mark.parametrize(
+    "arguments",
+    [["--help"], *([command, "--help"] for command in COMMANDS), ["rf", "evaluate", "--help"]],
+    ids=" ".join,
+)
 def test_help_is_there_on_every_level_without_heavy_imports(arguments):
     code = (
         "import sys\n"
@@ -45,7 +49,14 @@ def test_the_installed_command_is_this_one():
         (["sitl", "--param", "NONSENSE"], "NONSENSE"),
         (["sitl", "--home", "nowhere"], "--home"),
         (["rf", "--mission", "{tmp}/none.yaml", "--connect", "nonsense"], "'nonsense' must be PROTOCOL/ADDRESS"),
+        (["rf", "--mission", "{tmp}/none.yaml", "--vehicle", "a", "--vehicle", "a"], "'a' is given twice"),
+        (["rf", "--mission", "{tmp}/none.yaml", "--vehicle", "a", "--vehicle", "b/c"], "'b/c' must be"),
         (["agent", "--mission", "{tmp}/none.yaml", "--listen", "nonsense"], "'nonsense' must be PROTOCOL/ADDRESS"),
+        (["rf"], "--mission"),
+        (["rf", "--vehicle", "star1"], "--mission"),
+        (["rf", "evaluat"], "evaluat"),
+        (["rf", "evaluate"], "SNAPSHOT"),
+        (["rf", "evaluate", "{tmp}/none.yaml"], "none.yaml: No such file"),
         (["train", "{tmp}"], "--offline"),
         (["train", "--offline"], "--offline"),
         (["train", "--preset", "big", "--out", "{tmp}/out"], "physical_small"),

@@ -73,6 +73,22 @@ def test_whole_numbers_and_exponents_are_numbers(mission):
     assert loaded.vehicle.sitl.parameters == {"SIH_KDV": 0.1, "SIH_MASS": 2.0}
 
 
+@pytest.mark.parametrize(
+    ("text", "mode", "iterations"),
+    [
+        ("{}", "agent", 40),
+        ("ris: agent\nscenario: paper_literal", "agent", 40),
+        ("ris: closed_form", "closed_form", 40),
+        ("ris: {mode: optimised, iterations: 7}", "optimised", 7),
+        ("ris: {}", "agent", 40),
+    ],
+)
+def test_who_sets_the_surface_is_a_name_or_a_mapping(mission, text, mode, iterations):
+    loaded = load(mission(text))
+    assert (loaded.ris.mode, loaded.ris.iterations) == (mode, iterations)
+    assert load(mission(dump(loaded))) == loaded
+
+
 def test_slots_of_mission_and_scenario_agree(mission):
     assert load(mission("slots: 5")).scenario.slots == 5
     assert load(mission("scenario: {preset: physical_small, slots: 7}")).slots == 7
@@ -96,7 +112,28 @@ def test_slots_of_mission_and_scenario_agree(mission):
         ("scenario: {preset: physical_small, rowz: 3}", ["scenario.rowz: unknown key, did you mean rows?"]),
         ("scenario: {preset: physical_small, name: foo}", ["scenario.name: unknown key, "]),
         ("scenario: {xyzzy: 3}", ["scenario.xyzzy: unknown key, allowed are preset, slots, slot_s"]),
+        (
+            "scenario: {preset: physical_small, path_loss: {bs_rs: paper}}",
+            ["scenario.path_loss.bs_rs: unknown key, did you mean bs_ris"],
+        ),
+        ('scenario: {users: "6"}', ["scenario.users: '6' is not allowed", "integer"]),
+        ("scenario: {preset: physical_small, kappa: yes}", ["scenario.kappa: True", "number"]),
+        ("sceanrio: physical_small", ["sceanrio: unknown key, did you mean scenario?"]),
+        ("vehicle: {autopilt: sitl}", ["vehicle.autopilt: unknown key, did you mean autopilot?"]),
         ("scenario: {preset: physical_small, rows: 0}", ["scenario.rows: 0", "greater than or equal to 1"]),
+        ("ris: optimized", ["ris.mode: 'optimized'", "'agent', 'closed_form' or 'optimised'"]),
+        ("ris: {mode: optimised, iterations: -1}", ["ris.iterations: -1", "greater than or equal to 0"]),
+        ('ris: {mode: optimised, iterations: "40"}', ["ris.iterations: '40'", "integer"]),
+        ("ris: {mode: optimised, iteration: 9}", ["ris.iteration: unknown key, did you mean iterations?"]),
+        ("ris: 40", ["ris: 40", "dictionary"]),
+        (
+            "ris: closed_form\nscenario: paper_literal\npolicy: {kind: hover}",
+            ["ris.mode: 'closed_form'", "scenario.sinr 'amplitude'", "'agent'", "'power'"],
+        ),
+        (
+            "ris: optimised\nscenario: {sinr: amplitude}\npolicy: {kind: hover}",
+            ["ris.mode: 'optimised'", "scenario.sinr 'amplitude'"],
+        ),
         ("slots: {a: 1}", ["slots: {'a': 1} is not allowed", "integer"]),
         ("scenario: {preset: physical_small, slot_s: 0.15}\npolicy: {kind: hover}", ["scenario.slot_s: 0.15", "0.2"]),
         ("scenario: {preset: physical_small, start_enu: [0, 0, 500]}", ["start_enu: z = 500", "30 to 120"]),

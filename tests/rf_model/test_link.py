@@ -246,3 +246,14 @@ def test_thrust_at_the_steady_tilt_holds_weight_and_drag(x, y, heading):
     normal = (math.cos(heading), math.sin(heading))
     force = np.array([*drag_force(scenario.wing, scenario.panel, x - 1.0, y - 2.0, *normal), scenario.wing.weight_n])
     np.testing.assert_allclose(up, force / np.linalg.norm(force), atol=1e-6)
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), (3.0, -2.0, 0.5)])
+def test_a_single_velocity_takes_the_power_that_it_takes_among_others(wind):
+    scenario = preset("physical_small", wind_enu=wind)
+    velocity = torch.tensor([[4.0, -3.0, 1.0], [0.0, 0.0, 0.0], [-9.0, 2.0, -1.5]])
+    yaw = torch.tensor([0.3, -1.0, 2.0])
+    together = slot_power(scenario, velocity, yaw)
+    one_by_one = [slot_power(scenario, velocity[row : row + 1], yaw[row : row + 1]) for row in range(3)]
+    torch.testing.assert_close(torch.cat(one_by_one), together, rtol=1e-6, atol=0)
+    assert slot_power(scenario, velocity[0], yaw[0]).shape == ()

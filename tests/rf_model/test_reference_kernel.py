@@ -187,14 +187,17 @@ def test_wmmse_leaves_power_unused_where_that_is_best():
     assert np.linalg.norm(ours) ** 2 == pytest.approx(0.5, rel=1e-3)
 
 
-def test_zero_forcing_is_regularised_by_the_noise_and_gives_equal_powers():
-    for per_user, power in ((False, 1 / 3), (True, 1.0)):
-        slot = a_slot(7, users=3, antennas=5, per_user=per_user)
-        beams = kernel.zero_forcing(slot, slot.direct).T
-        G = slot.direct
-        plain = G.conj().T @ np.linalg.inv(G @ G.conj().T + np.eye(3) / power)
-        plain *= math.sqrt(power) / np.linalg.norm(plain, axis=0)
-        np.testing.assert_allclose(beams, plain, atol=1e-12)
+@pytest.mark.parametrize(("users", "antennas"), [(3, 5), (5, 2)])
+def test_zero_forcing_is_regularised_by_the_noise_and_keeps_the_powers_given(users, antennas):
+    G = a_slot(7, users, antennas).direct
+    equal = kernel.zero_forcing(G, np.full(users, 0.25)).T
+    plain = G.conj().T @ np.linalg.inv(G @ G.conj().T + np.eye(users) / 0.25)
+    np.testing.assert_allclose(equal, 0.5 * plain / np.linalg.norm(plain, axis=0), atol=1e-12)
+
+    power = np.linspace(0.0, 0.4, users)
+    beams = kernel.zero_forcing(G, power).T
+    plain = np.linalg.inv(np.eye(antennas) + (G.conj().T * power) @ G) @ G.conj().T
+    np.testing.assert_allclose(beams, np.sqrt(power) * plain / np.linalg.norm(plain, axis=0), atol=1e-12)
 
 
 def test_strongest_mode_is_the_first_right_singular_vector():

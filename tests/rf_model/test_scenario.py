@@ -14,6 +14,61 @@ def test_presets_are_the_four_of_the_design():
     assert list(PRESETS) == ["paper_literal", "physical_1km", "physical_small", "prototype_s4"]
 
 
+SMALL = {"rows": 4, "columns": 4, "group": 4, "ris_gain_db": 42.0, "motion": "cartesian"}
+
+
+@pytest.mark.parametrize(
+    ("name", "switches"),
+    [
+        ("physical_1km", {}),
+        ("physical_small", SMALL),
+        (
+            "paper_literal",
+            {
+                "sinr": "amplitude",
+                "noise": "density",
+                "nlos_height": "uav",
+                "ris_user": "nlos",
+                "direct_extra_db": 0.0,
+                "ris_gain_db": 0.0,
+                "array": "literal",
+                "induced": "paper",
+                "induced_velocity": "paper",
+                "climb": "signed",
+                "v_perp": "speed",
+                "p_max": "per_user",
+                "region": "fixed",
+                "timing": "post",
+                "climb_up_mps": None,
+                "climb_down_mps": None,
+                "rows": 4,
+                "columns": 4,
+            },
+        ),
+        (
+            "prototype_s4",
+            SMALL
+            | {
+                "group": 1,
+                "motion": "spherical",
+                "ris_user": "los",
+                "region": "fixed",
+                "user_centre_enu": (0.0, 50.0),
+                "user_half_angle_rad": 0.45 * math.pi,
+                "user_bounds": "none",
+                "mobility": "directional",
+                "induced_velocity": "paper",
+                "climb": "signed",
+                "climb_up_mps": None,
+                "climb_down_mps": None,
+            },
+        ),
+    ],
+)
+def test_presets_set_the_designs_switches_and_no_other(name, switches):
+    assert PRESETS[name] == Scenario(**switches)
+
+
 def test_small_twin_has_the_surface_of_the_large_one():
     small, large = PRESETS["physical_small"], PRESETS["physical_1km"]
     assert (small.elements, large.elements) == (16, 256)
@@ -58,7 +113,23 @@ def test_path_loss_overrides_one_link_and_keeps_the_others():
     ("fields", "words"),
     [
         ({"v_max_mps": -3}, ["v_max_mps", "-3", "greater than 0"]),
-        ({"speed": 3}, ["speed", "no such field"]),
+        ({"speed": 3}, ["speed: unknown key, allowed are preset, slots"]),
+        ({"rowz": 3}, ["rowz: unknown key, did you mean rows?"]),
+        ({"xyzzy": 3}, ["xyzzy: unknown key, allowed are preset, slots, slot_s"]),
+        ({"path_loss": {"ris_usr": "paper"}}, ["path_loss.ris_usr: unknown key, did you mean ris_user"]),
+        ({"path_loss": {"xyzzy": 1}}, ["path_loss.xyzzy: unknown key, allowed are bs_user, bs_ris, ris_user"]),
+        ({"users": "6"}, ["users: '6' is not allowed", "integer"]),
+        ({"users": 6.0}, ["users: 6.0", "integer"]),
+        ({"users": True}, ["users: True", "integer"]),
+        ({"kappa": "5"}, ["kappa: '5'", "number"]),
+        ({"kappa": False}, ["kappa: False", "number"]),
+        ({"extrapolate": "yes"}, ["extrapolate: 'yes'", "boolean"]),
+        ({"extrapolate": 1}, ["extrapolate: 1", "boolean"]),
+        ({"phase_bits": True}, ["phase_bits: True", "integer"]),
+        ({"start_enu": (0, "0", 60)}, ["start_enu.1: '0'", "number"]),
+        ({"start_enu": "abc"}, ["start_enu: 'abc'", "tuple"]),
+        ({"box_enu": ((-1, 1), (-1, True), (30, 60))}, ["box_enu.1.1: True", "number"]),
+        ({"path_loss": 3}, ["path_loss: 3", "dictionary"]),
         ({"sinr": "voltage"}, ["sinr", "voltage", "'power' or 'amplitude'"]),
         ({"slots": 0}, ["slots", "0", "greater than or equal to 1"]),
         ({"users": 0}, ["users", "greater than or equal to 1"]),
@@ -91,15 +162,17 @@ def test_path_loss_overrides_one_link_and_keeps_the_others():
             ["box_enu", "30 to 301", "tr36777_umi_av"],
         ),
         ({"path_loss": "4gpp"}, ["path_loss", "4gpp", "paper, 3gpp"]),
-        ({"phase_bits": 4}, ["phase_bits", "4", "1, 2 or 3"]),
+        ({"phase_bits": 4}, ["phase_bits: 4", "less than or equal to 3"]),
         ({"surface": "star"}, ["surface", "star", "'coupled'", "'conventional'"]),
         ({"element_loss_db": -1}, ["element_loss_db", "-1", "greater than or equal to 0"]),
         ({"attitude": "tilted"}, ["attitude", "tilted", "'level' or 'flown'"]),
         ({"csi_error_variance": -0.1}, ["csi_error_variance", "-0.1", "greater than or equal to 0"]),
         ({"csi_delay_slots": 1.5}, ["csi_delay_slots", "1.5", "integer"]),
-        ({"wind_enu": (0, 0)}, ["wind_enu", "required"]),
+        ({"wind_enu": (0, 0)}, ["wind_enu.2: missing"]),
         ({"wind_enu": (0, 0, math.nan)}, ["wind_enu.2", "nan", "finite"]),
         ({"ris_mass_kg_per_m2": -1}, ["ris_mass_kg_per_m2", "-1"]),
+        ({"state_extra": ["time", "speed"]}, ["state_extra.1", "speed", "'users' or 'time'"]),
+        ({"state_extra": ["time", "time"]}, ["state_extra: time, time", "once"]),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line_that_names_it(fields, words):
@@ -112,6 +185,31 @@ def test_what_cannot_be_is_refused_in_one_line_that_names_it(fields, words):
 def test_several_faults_are_all_named():
     with pytest.raises(ScenarioError, match=r"slots: .*; users: "):
         make_scenario({"slots": 0, "users": 0})
+
+
+def test_lists_and_whole_numbers_are_taken_for_points_and_floats():
+    scenario = make_scenario(
+        {"preset": "physical_small", "start_enu": [0, 1, 60], "box_enu": [[-9, 9]] * 2 + [[30, 99]]}
+    )
+    assert (scenario.start_enu, scenario.box_enu) == ((0.0, 1.0, 60.0), ((-9.0, 9.0), (-9.0, 9.0), (30.0, 99.0)))
+
+
+def test_what_is_observed_besides_may_be_named_in_any_order():
+    assert preset("physical_small", state_extra=["time", "users"]) == preset(
+        "physical_small", state_extra=["users", "time"]
+    )
+
+
+def test_a_preset_goes_by_its_name_alone_or_beside_the_fields_that_differ():
+    assert make_scenario("physical_small") == PRESETS["physical_small"]
+    assert make_scenario({"preset": "physical_small", "users": 6}) == preset("physical_small", users=6)
+
+
+@pytest.mark.parametrize("given", [3, None, [], ["physical_small"], {"preset": []}, {"preset": "big"}, {1: 2}])
+def test_what_is_no_scenario_at_all_is_refused(given):
+    with pytest.raises(ScenarioError) as error:
+        make_scenario(given)
+    assert "\n" not in str(error.value)
 
 
 def test_unknown_preset_names_those_there_are():

@@ -4,10 +4,15 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 from airframe.power import total_power
 from bus.messages import Action, ChannelState, FlownSlot, LinkReport, RisConfiguration, SlotOpened, TrackSample
 from bus.topics import encode
+from rf_model import slot_radio
+from rf_model.channels import Channels
+from rf_model.reference.solve import ReferenceInputError, closed_form, solve
+from rf_model.ris_control import RisControl, RisControlError
 from rf_model.scenario import preset
 from rf_model.slot_radio import SlotRadio
 
@@ -404,3 +409,149 @@ def test_power_in_wind_is_that_of_the_velocity_through_the_air():
     radio.open(opened(0))
     report, _ = [m for m in radio.open(opened(1)) if not isinstance(m, RisConfiguration)]  # flown at (4, 0, 0)
     assert report.power_w == pytest.approx(SCENARIO.hover_power_w)
+
+
+BY_ITSELF = ("closed_form", "optimised")
+
+
+def by_itself(mode, iterations=5):
+    return RisControl(mode=mode, iterations=iterations)
+
+
+def told_channels(state) -> Channels:
+    """The channels in a message."""
+    direct, bs_ris, ris_user = (
+        torch.view_as_complex(torch.tensor(x, dtype=torch.float64))
+        for x in (state.direct, state.bs_ris, state.ris_user)
+    )
+    return Channels(direct, bs_ris, ris_user, torch.tensor([region == "transmission" for region in state.regions]))
+
+
+@pytest.mark.parametrize("mode", BY_ITSELF)
+@pytest.mark.parametrize("phase_bits", [None, 2])
+@pytest.mark.parametrize("surface", ["coupled", "independent", "dual", "conventional"])
+def test_surface_set_without_an_agent_is_one_that_there_can_be_and_rated_as_told(surface, phase_bits, mode):
+    scenario = preset("physical_small", surface=surface, phase_bits=phase_bits)
+    radio = SlotRadio(scenario, 1, by_itself(mode))
+    configuration, state = radio.open(opened(0))
+    assert (kinds([configuration, state]), configuration.source) == ([RisConfiguration, ChannelState], mode)
+    reflection, transmission, theta_r, theta_t = (
+        np.array(getattr(configuration, name))
+        for name in ("beta_reflection", "beta_transmission", "theta_reflection", "theta_transmission")
+    )
+    assert reflection**2 + transmission**2 == pytest.approx(np.ones(N))
+    if surface == "coupled":
+        assert np.cos(theta_r - theta_t) == pytest.approx(np.zeros(N), abs=1e-9)
+    if surface == "dual":
+        assert reflection == pytest.approx(1.0 - np.arange(N) % 2)
+    if surface == "conventional":
+        assert reflection == pytest.approx(np.ones(N))
+    if phase_bits:
+        steps = theta_r / (math.pi / 2)
+        assert steps == pytest.approx(np.round(steps), abs=1e-9)
+    power = np.sum(np.array(configuration.beamforming) ** 2)
+    assert power <= scenario.p_max_w * (1 + 1e-6)
+    report, *_ = radio.open(opened(1))
+    assert (report.slot, report.configuration) == (0, mode)
+    for j in range(J):
+        assert report.sinr[j] == pytest.approx(sinr_by_hand(state, configuration, j), rel=1e-9)
+
+
+@pytest.mark.parametrize("csi", [{}, {"csi_error_variance": 0.3, "csi_delay_slots": 1}], ids=["exact", "imperfect"])
+def test_it_is_the_reference_for_the_channels_told(csi):
+    scenario = preset("physical_small", **csi)
+    for mode in BY_ITSELF:
+        for message in fly(SlotRadio(scenario, 1, by_itself(mode))):
+            if isinstance(message, RisConfiguration):
+                configuration = message
+            if isinstance(message, ChannelState):
+                channels = told_channels(message)
+                best = closed_form(scenario, channels) if mode == "closed_form" else solve(scenario, channels, 5)
+                assert configuration.slot == message.slot
+                assert configuration.theta_reflection == pytest.approx(best.trc.theta_reflection.tolist(), abs=1e-9)
+                beams = np.array(configuration.beamforming) @ [1, 1j]
+                assert beams == pytest.approx(best.beamforming.numpy(), abs=1e-9)
+
+
+def test_more_iterations_are_worth_more():
+    def fair(ris):
+        return sum(m.fair_rate_bps for m in fly(SlotRadio(SCENARIO, 1, ris)) if isinstance(m, LinkReport))
+
+    closed, few, many = (
+        fair(by_itself("closed_form")),
+        fair(by_itself("optimised", 3)),
+        fair(by_itself("optimised", 40)),
+    )
+    assert fair(RisControl()) < closed < few < many
+
+
+@pytest.mark.parametrize("mode", BY_ITSELF)
+def test_without_an_agent_a_flight_still_has_one_of_each(mode):
+    radio = SlotRadio(SCENARIO, 1, by_itself(mode))
+    messages = [m for k in range(4) for m in radio.open(opened(k, "missing"))]
+    messages += radio.open(opened(4, "missing", closing=True))
+    for kind in (ChannelState, RisConfiguration, LinkReport):
+        assert [m.slot for m in messages if isinstance(m, kind)] == [0, 1, 2, 3]
+    assert {m.source for m in messages if isinstance(m, RisConfiguration)} == {mode}
+    assert {m.configuration for m in messages if isinstance(m, LinkReport)} == {mode}
+    assert (radio.counters[mode], radio.rejections) == (4, [])
+
+
+@pytest.mark.parametrize("mode", BY_ITSELF)
+def test_actions_do_not_set_a_surface_that_is_set_without_them(mode):
+    left_alone, acted_on = (SlotRadio(SCENARIO, 1, by_itself(mode)) for _ in range(2))
+    for k in range(3):
+        assert [encode(m) for m in acted_on.open(opened(k))] == [encode(m) for m in left_alone.open(opened(k))]
+        assert acted_on.apply(action(k, theta_reflection=[math.nan])) == []
+        assert acted_on.apply(action(k)) == []
+        assert not acted_on.must_wait(opened(k + 1, "flown"))
+    assert acted_on.counters["stray"] == 6
+    assert acted_on.rejections == []
+
+
+def test_users_and_channels_are_the_same_whoever_sets_the_surface():
+    flights = [fly(SlotRadio(SCENARIO, 1, RisControl(mode=mode))) for mode in ("agent", *BY_ITSELF)]
+    states = [[encode(m) for m in flight if isinstance(m, ChannelState)] for flight in flights]
+    assert states[0] == states[1] == states[2]
+
+
+@pytest.mark.parametrize("mode", BY_ITSELF)
+def test_a_surface_set_without_an_agent_is_the_same_again_also_after_a_restart(mode):
+    first, again = (fly(SlotRadio(SCENARIO, 1, by_itself(mode))) for _ in range(2))
+    assert [encode(m) for m in first] == [encode(m) for m in again]
+    restarted = SlotRadio(SCENARIO, 1, by_itself(mode)).open(opened(3))
+    assert [encode(m) for m in restarted] == [encode(m) for m in first if m.slot == 3 and not isinstance(m, LinkReport)]
+
+
+def test_post_timing_rates_what_was_set_at_the_opening():
+    radio = SlotRadio(post(), 1, by_itself("closed_form"))
+    configuration, _ = radio.open(opened(0))
+    report, _, state = radio.open(opened(1))
+    for j in range(J):
+        assert report.sinr[j] == pytest.approx(sinr_by_hand(state, configuration, j), rel=1e-9)
+    assert kinds(radio.open(opened(2, closing=True))) == [LinkReport]
+
+
+def test_what_the_reference_cannot_solve_is_counted_and_the_last_configuration_held(monkeypatch):
+    """Positions on the bus are finite, and no finite one was found whose channels are not: the fault is injected."""
+    radio = SlotRadio(SCENARIO, 1, by_itself("closed_form"))
+    first, _ = radio.open(opened(0))
+    with monkeypatch.context() as broken:
+
+        def refuse(*_):
+            raise ReferenceInputError("direct: not finite")
+
+        broken.setattr(slot_radio, "reference_solution", refuse)
+        report, held, _ = radio.open(opened(1))
+    assert (report.configuration, held.source, held.slot) == ("closed_form", "held", 1)
+    assert held.theta_reflection == first.theta_reflection
+    assert radio.rejections == ["closed_form of slot 1: direct: not finite"]
+    assert radio.counters["unsolved"] == 1
+    report, after, _ = radio.open(opened(2))
+    assert (report.configuration, after.source) == ("held", "closed_form")
+
+
+@pytest.mark.parametrize("mode", BY_ITSELF)
+def test_the_paper_s_sinr_by_amplitudes_cannot_be_optimised(mode):
+    with pytest.raises(RisControlError, match=r"ris\.mode: '\w+' is not allowed with scenario\.sinr 'amplitude'"):
+        SlotRadio(preset("physical_small", sinr="amplitude"), 1, RisControl(mode=mode))

@@ -1,0 +1,1 @@
+"""The paper's experiments: what each of its figures takes, computed; `mission.reproduce` draws them."""
