@@ -8,8 +8,8 @@ STAMP  := $(VENV)/.installed
 fly: $(STAMP)  ## install and fly the demo mission
 	$(BIN)/aerialstar fly missions/demo.yaml
 
-test: $(STAMP)  ## the whole test suite
-	$(BIN)/python -m pytest
+test: $(STAMP)  ## the whole test suite, one file at a time on each core
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(STAMP)  ## style, types, import rule
 	$(BIN)/ruff check .
