@@ -2,12 +2,14 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 
 from sitl.frames import SIGNED, Payload, frame
 from sitl.signing import Signing
 
 INTERVAL_MIN_MS, INTERVAL_MAX_MS = 10.0, 1.8e6
+QUEUE_MAX = 256
+"""Streams that were replaced stay in the queue until they would have been due, so many at the most."""
 AUTOPILOT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 
@@ -86,6 +88,9 @@ class Link:
 
     def _schedule(self, name: str, stream: Stream) -> None:
         self.streams[name] = stream
+        if len(self._queue) > QUEUE_MAX + 2 * len(self.streams):  # a client that sets one interval without end
+            self._queue = [entry for entry in self._queue if self.streams.get(entry[2]) is entry[3]]
+            heapify(self._queue)
         self._entered += 1
         heappush(self._queue, (stream.due_ms, self._entered, name, stream))
 
