@@ -157,7 +157,8 @@ class Autopilot:
             news = self._build(name)
             if news is not None:
                 for link in self.network.links:
-                    link.send(news)
+                    if link.streaming:
+                        link.send(news)
         v.commander.news.clear()
         for link in self.network.links:
             parameters.continue_list(v, link)

@@ -354,6 +354,7 @@ class Commander:
         """Decide what is flown for the coming tick of dt [s]; `flying` tells whether at all."""
         if self.home is None and self.now_ms >= BOOT.home_ms:
             self.home = vector(self._body.position)
+            self.news.append("HOME_POSITION")
         self._judge_plans()
         if not self.armed and self.now_ms >= self._look_due_ms:
             self._look_due_ms = self.now_ms + LOOK_MS

@@ -38,7 +38,7 @@ def test_boot_timeline(vehicle):
     assert 1000 <= first_time_ms(vehicle, "HEARTBEAT") <= 1600
     assert next(m for m in vehicle.messages if m.get_type() == "HEARTBEAT").system_status == 0
     assert next(m for m in vehicle.messages if m.get_type() == "SYS_STATUS").onboard_control_sensors_present == 0
-    assert first_time_ms(vehicle, "HOME_POSITION") == pytest.approx(2400, abs=2000)
+    assert first_time_ms(vehicle, "HOME_POSITION") == pytest.approx(2400, abs=100)
     prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
     armable = first_time_ms(vehicle, "SYS_STATUS", lambda m: m.onboard_control_sensors_health & prearm)
     assert 3900 <= armable <= 4600
