@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl.flight_model import FlightModel
-from sitl.frames import Frame, Message, Payload, decode
-from sitl.link import Link
-from sitl.network import Network
+from sitl.flight.flight_model import FlightModel
+from sitl.links.frames import Frame, Message, Payload, decode
+from sitl.links.link import Link
+from sitl.links.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality

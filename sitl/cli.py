@@ -57,10 +57,10 @@ def sitl(
     ] = None,
 ) -> None:
     """Simulate PX4 or ArduCopter quadcopters that MAVLink clients can fly (UDP and TCP on loopback)."""
+    from sitl.links.signing import read_key
     from sitl.origin import read_origin
     from sitl.parameters import ParameterError, Parameters
     from sitl.personality import personality as personality_of
-    from sitl.signing import read_key
 
     played = personality_of(personality)
     parameters = Parameters(played.table)

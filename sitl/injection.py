@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from sitl.autopilot import Autopilot
-from sitl.sensors import Faults, Loss
+from sitl.flight.sensors import Faults, Loss
 
 MOTORS = 4
 

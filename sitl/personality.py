@@ -11,18 +11,18 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from sitl.battery import Battery, Pack
-from sitl.control import Gains, Setpoint
-from sitl.flight_model import FlightModel
-from sitl.frames import Payload
+from sitl.flight.battery import Battery, Pack
+from sitl.flight.control import Gains, Setpoint
+from sitl.flight.flight_model import FlightModel
+from sitl.flight.physics import Rotorcraft
+from sitl.flight.reference import Vec3
+from sitl.flight.world import World
+from sitl.links.frames import Payload
 from sitl.origin import Origin
 from sitl.parameters import Parameter, Parameters
-from sitl.physics import Rotorcraft
 from sitl.plan import Plans
-from sitl.reference import Vec3
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 from sitl.transfer import Rules
-from sitl.world import World
 
 if TYPE_CHECKING:
     from sitl.vehicle import Vehicle

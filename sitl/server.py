@@ -13,17 +13,17 @@ from functools import partial
 
 from sitl.autopilot import TICK_MS, Autopilot
 from sitl.control_socket import ControlClient, ControlSocket, read_advance
-from sitl.flight_model import compile_now
-from sitl.link import Link, PortError
-from sitl.network import Network, Port
+from sitl.flight.flight_model import compile_now
+from sitl.links.link import Link, PortError
+from sitl.links.network import Network, Port
+from sitl.links.signing import Signing
+from sitl.links.tcp import TcpPort
+from sitl.links.udp import SILENT_MS, UdpPort
 from sitl.origin import Origin
 from sitl.pacing import Pacer
 from sitl.parameters import Parameters
 from sitl.personality import Personality
 from sitl.requests import VEHICLE_REQUESTS
-from sitl.signing import Signing
-from sitl.tcp import TcpPort
-from sitl.udp import SILENT_MS, UdpPort
 
 LOCKSTEP_EPOCH_US = 1_767_225_600_000_000
 """SYSTEM_TIME at boot in lockstep, 2026-01-01: the same inputs give the same bytes."""

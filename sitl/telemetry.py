@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl import sensors
-from sitl.frames import Payload, pack
-from sitl.physics import GRAVITY, euler, heading
-from sitl.reference import vector
+from sitl.flight import sensors
+from sitl.flight.physics import GRAVITY, euler, heading
+from sitl.flight.reference import vector
+from sitl.links.frames import Payload, pack
 from sitl.vehicle import Vehicle
 
 NAN = math.nan

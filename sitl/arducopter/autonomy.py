@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from sitl.arducopter.shaper import Motion, Shape, eased_speed, held_back, limited, shaped, square_root
 from sitl.arducopter.vehicle_setup import limits, shape
-from sitl.control import Setpoint
+from sitl.flight.control import Setpoint
+from sitl.flight.physics import Body, heading
+from sitl.flight.reference import Limits, Reference, Vec3, approach, follow, stopping_point, turned, vector
 from sitl.parameters import Parameters
-from sitl.physics import Body, heading
-from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_point, turned, vector
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)

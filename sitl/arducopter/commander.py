@@ -13,17 +13,17 @@ from sitl.arducopter.missions import Pilot, manners
 from sitl.arducopter.modes import ARMABLE, Mode, base_mode, mode_of
 from sitl.arducopter.sticks import Attitude, LeanSticks, LoiterSticks, attitude_setpoint
 from sitl.arducopter.vehicle_setup import pack, shape
-from sitl.battery import Battery
-from sitl.control import Setpoint
-from sitl.flight_model import NOTHING, FlightModel
+from sitl.flight.battery import Battery
+from sitl.flight.control import Setpoint
+from sitl.flight.flight_model import NOTHING, FlightModel
+from sitl.flight.physics import heading
+from sitl.flight.reference import Vec3, vector
 from sitl.geofence import Breach, bent
 from sitl.mission_flight import MissionFlight
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import CRITICAL, INFO, WARNING, Landed, Result, State
-from sitl.physics import heading
 from sitl.plan import PLACES, TAKEOFF, Plans
-from sitl.reference import Vec3, vector
 from sitl.stick_input import StickInput
 from sitl.targets import AttitudeTarget, PositionTarget, Sticks
 from sitl.targets import Destination as Goal

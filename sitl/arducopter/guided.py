@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from sitl.arducopter.shaper import near
-from sitl.reference import Vec3
+from sitl.flight.reference import Vec3
 from sitl.targets import PositionTarget
 
 POSITION, VELOCITY, ACCELERATION = 0x007, 0x038, 0x1C0

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from sitl.arducopter.autonomy import Land, Return, Takeoff, slew
 from sitl.arducopter.vehicle_setup import limits
+from sitl.flight.physics import Body
+from sitl.flight.reference import Vec3
 from sitl.mission_flight import Manners
 from sitl.origin import Origin
 from sitl.parameters import Parameters
-from sitl.physics import Body
 from sitl.plan import Item, place
-from sitl.reference import Vec3
 
 
 def manners(p: Parameters) -> Manners:

@@ -4,8 +4,8 @@ ArduPilot refuses no value but NaN and infinity; here those that act have the ra
 value outside is refused. Angles are centidegrees, lengths centimetres where ArduPilot has them so.
 """
 
+from sitl.flight.world import OWN
 from sitl.parameters import INT8, INT16, INT32, REAL32, Parameter
-from sitl.world import OWN
 
 INT8_ANY = (-(2**7), 2**7 - 1)
 INT16_ANY = (-(2**15), 2**15 - 1)

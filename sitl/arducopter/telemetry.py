@@ -7,10 +7,10 @@ from sitl import telemetry as common
 from sitl.arducopter.arming import READY_MS
 from sitl.arducopter.commander import Commander
 from sitl.arducopter.modes import Mode
-from sitl.frames import Payload, pack
-from sitl.physics import GRAVITY, euler, heading
-from sitl.reference import vector
-from sitl.sensors import ACCELEROMETER, GYRO, measured
+from sitl.flight.physics import GRAVITY, euler, heading
+from sitl.flight.reference import vector
+from sitl.flight.sensors import ACCELEROMETER, GYRO, measured
+from sitl.links.frames import Payload, pack
 from sitl.telemetry import compass, int16
 from sitl.vehicle import Vehicle
 

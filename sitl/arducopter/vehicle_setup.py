@@ -3,13 +3,13 @@
 import math
 
 from sitl.arducopter.shaper import Shape
-from sitl.battery import Pack
-from sitl.control import Gains
+from sitl.flight.battery import Pack
+from sitl.flight.control import Gains
+from sitl.flight.physics import GRAVITY, Rotorcraft
+from sitl.flight.reference import Limits
+from sitl.flight.world import World, in_the_air
+from sitl.flight.world import world as own_world
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, Rotorcraft
-from sitl.reference import Limits
-from sitl.world import World, in_the_air
-from sitl.world import world as own_world
 
 MASS = 3.0
 """Of ArduPilot's default simulated frame (SIM_Frame.cpp) [kg]."""

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
-from sitl.control import Setpoint
+from sitl.flight.control import Setpoint
+from sitl.flight.physics import Body, heading
+from sitl.flight.reference import Limits, Reference, Vec3, approach, eased, follow_eased, stopping_point, turned, vector
 from sitl.parameters import Parameters
-from sitl.physics import Body, heading
-from sitl.reference import Limits, Reference, Vec3, approach, eased, follow_eased, stopping_point, turned, vector
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)

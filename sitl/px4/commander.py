@@ -6,15 +6,16 @@ Time is vehicle time in milliseconds since boot; nothing here waits. What is to 
 import math
 from collections.abc import Callable
 
-from sitl.battery import Battery
-from sitl.control import Setpoint
-from sitl.flight_model import NOTHING, FlightModel
+from sitl.flight.battery import Battery
+from sitl.flight.control import Setpoint
+from sitl.flight.flight_model import NOTHING, FlightModel
+from sitl.flight.physics import GRAVITY, heading
+from sitl.flight.reference import Reference, Vec3, stopping_point, vector
 from sitl.geofence import Breach
 from sitl.mission_flight import Fly, MissionFlight
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import CRITICAL, ERROR, INFO, WARNING, Landed, Result, State, Timeline
-from sitl.physics import GRAVITY, heading
 from sitl.plan import Plans
 from sitl.px4.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff
 from sitl.px4.failsafes import Action, Conditions, Failsafe, can_fly, follow
@@ -31,7 +32,6 @@ from sitl.px4.sticks import (
     StabilizedSticks,
 )
 from sitl.px4.vehicle_setup import pack
-from sitl.reference import Reference, Vec3, stopping_point, vector
 from sitl.stick_input import StickInput
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 

@@ -2,11 +2,11 @@
 
 import math
 
+from sitl.flight.reference import Vec3
 from sitl.geofence import Fence, areas
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.plan import PLACES, Plans, place
-from sitl.reference import Vec3
 
 CHECK_MS = 200
 """How often PX4's navigator looks."""

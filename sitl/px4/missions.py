@@ -4,13 +4,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from sitl.flight.physics import Body
+from sitl.flight.reference import Vec3
 from sitl.mission_flight import Manners
 from sitl.origin import Origin
 from sitl.parameters import Parameters
-from sitl.physics import Body
 from sitl.plan import Item, place
 from sitl.px4.autonomy import Land, Takeoff, limits
-from sitl.reference import Vec3
 
 
 def manners(p: Parameters) -> Manners:

@@ -3,11 +3,11 @@
 import math
 from dataclasses import replace
 
-from sitl.control import Setpoint
+from sitl.flight.control import Setpoint
+from sitl.flight.physics import GRAVITY, Body, heading
+from sitl.flight.reference import Limits, Reference, Vec3, follow_eased, vector
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, Body, heading
 from sitl.px4.autonomy import limits
-from sitl.reference import Limits, Reference, Vec3, follow_eased, vector
 from sitl.stick_input import StickInput, deadzone, quaternion
 
 NAN = math.nan

@@ -5,9 +5,9 @@ What PX4's simulators can do is done here; every other unit or type is UNSUPPORT
 
 import math
 
-from sitl.link import Link
+from sitl.flight.sensors import Loss
+from sitl.links.link import Link
 from sitl.personality import CRITICAL, Result
-from sitl.sensors import Loss
 from sitl.services.command import Command
 from sitl.vehicle import Vehicle
 

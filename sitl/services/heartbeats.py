@@ -1,8 +1,8 @@
 """HEARTBEATs of others: a ground station's keeps its connection alive."""
 
-from sitl.frames import Message
-from sitl.link import Link
-from sitl.sensors import Loss
+from sitl.flight.sensors import Loss
+from sitl.links.frames import Message
+from sitl.links.link import Link
 from sitl.vehicle import Vehicle
 
 GROUND_STATION = 6

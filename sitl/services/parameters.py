@@ -7,8 +7,8 @@ allowed changes nothing and is answered with the value in force.
 import math
 import struct
 
-from sitl.frames import Message, pack
-from sitl.link import Link
+from sitl.links.frames import Message, pack
+from sitl.links.link import Link
 from sitl.parameters import ParameterError, from_wire, to_wire
 from sitl.vehicle import Vehicle
 

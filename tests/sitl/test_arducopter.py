@@ -500,7 +500,7 @@ def test_parameters_have_real_names_types_and_defaults():
     p = Parameters(TABLE)
     assert len(p) >= 120
     for parameter in p:
-        if parameter.name.startswith("SITL_"):  # our own, of sitl/world.py
+        if parameter.name.startswith("SITL_"):  # our own, of sitl/flight/world.py
             continue
         value, mav_type = recorded[parameter.name]
         assert parameter.mav_type == mav_type, parameter.name

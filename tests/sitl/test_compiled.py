@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import sitl
-from sitl import compiled
-from sitl.flight_model import advance
+from sitl.flight import compiled
+from sitl.flight.flight_model import advance
 
 
 def test_cached_code_depends_on_every_compiled_source():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
-from sitl.frames import WITHOUT_LAYOUT, frame, pack, unpack
+from sitl.links.frames import WITHOUT_LAYOUT, frame, pack, unpack
 from sitl.px4.personality import PX4
 
 

@@ -15,16 +15,16 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
 from sitl.autopilot import Autopilot
-from sitl.budget import BURST, BYTES_PER_MS, Budget
-from sitl.link import Link, PortError
-from sitl.network import Network
+from sitl.links.budget import BURST, BYTES_PER_MS, Budget
+from sitl.links.link import Link, PortError
+from sitl.links.network import Network
+from sitl.links.signing import Signing
+from sitl.links.tcp import UNSENT_MAX, TcpPort
+from sitl.links.udp import PEERS_MAX, UdpPort
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.px4.personality import PX4
 from sitl.server import Options, Server
-from sitl.signing import Signing
-from sitl.tcp import UNSENT_MAX, TcpPort
-from sitl.udp import PEERS_MAX, UdpPort
 from tests.sitl.client import Direct, lockstep
 from tests.sitl.process import free_udp_port, sitl_process
 

@@ -15,8 +15,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.autopilot import Autopilot
 from sitl.injection import inject
-from sitl.link import Link
-from sitl.network import Network
+from sitl.links.link import Link
+from sitl.links.network import Network
+from sitl.links.signing import Signing
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.plan import Item, Kind
@@ -24,7 +25,6 @@ from sitl.px4.modes import Mode, custom_mode
 from sitl.px4.parameters import TABLE
 from sitl.px4.personality import PX4
 from sitl.services.failure_injection import inject_failure
-from sitl.signing import Signing
 from sitl.targets import AttitudeTarget, PositionTarget, Sticks
 
 NAN = math.nan

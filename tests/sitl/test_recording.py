@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from sitl.arducopter.shaper import eased_speed
-from sitl.frames import frame, pack
+from sitl.flight.reference import Limits, Reference, eased
+from sitl.links.frames import frame, pack
 from sitl.recording import events, motion, on_vehicle_time, read
-from sitl.reference import Limits, Reference, eased
 
 
 def stamped(wall_us: int, raw: bytes) -> bytes:

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from sitl.flight.sensors import ACCELEROMETER, ERROR_RATE, Estimator, Faults, Loss
 from sitl.injection import inject
-from sitl.sensors import ACCELEROMETER, ERROR_RATE, Estimator, Faults, Loss
 from tests.sitl.client import Direct, direct
 from tests.sitl.copter import copter
 

@@ -9,9 +9,9 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 
-from sitl.budget import PACKET_OVERHEAD, Budget
-from sitl.frames import Frame, split_datagram
-from sitl.link import Link, PortError
+from sitl.links.budget import PACKET_OVERHEAD, Budget
+from sitl.links.frames import Frame, split_datagram
+from sitl.links.link import Link, PortError
 
 Address = tuple[str, int]
 NewLink = Callable[[Callable[[bytes], bool], int], Link]

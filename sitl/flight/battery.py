@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from airframe.power import NO_PANEL, Panel, RotaryWing, total_power
-from sitl.physics import Body, heading
+from sitl.flight.physics import Body, heading
 
 WING = RotaryWing()
 

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airframe.power import Panel
-from sitl.battery import propulsion_power
-from sitl.compiled import compiled
-from sitl.constants import packed, unpacked_craft, unpacked_gains
-from sitl.control import Controller, Gains, Setpoint, control, controller_at_rest, rest
-from sitl.physics import Body, Rotorcraft, body_at_rest, heading, step_body
-from sitl.sensors import Estimator, Faults, Loss
-from sitl.wind import Gusts
-from sitl.world import World
+from sitl.flight.battery import propulsion_power
+from sitl.flight.compiled import compiled
+from sitl.flight.constants import packed, unpacked_craft, unpacked_gains
+from sitl.flight.control import Controller, Gains, Setpoint, control, controller_at_rest, rest
+from sitl.flight.physics import Body, Rotorcraft, body_at_rest, heading, step_body
+from sitl.flight.sensors import Estimator, Faults, Loss
+from sitl.flight.wind import Gusts
+from sitl.flight.world import World
 
 STEP_MS = 4.0
 """Longest physics step [ms]: 250 Hz, PX4's SIH rate."""

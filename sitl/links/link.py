@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from heapq import heapify, heappop, heappush
 
-from sitl.frames import SIGNED, Payload, frame
-from sitl.signing import Signing
+from sitl.links.frames import SIGNED, Payload, frame
+from sitl.links.signing import Signing
 
 INTERVAL_MIN_MS, INTERVAL_MAX_MS = 10.0, 1.8e6
 QUEUE_MAX = 256
