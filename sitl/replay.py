@@ -15,8 +15,8 @@ from sitl.parameters import Parameters
 from sitl.personality import Personality
 from sitl.recording import Motion, Stamped, motion
 
-EVENT_RATES_HZ = {"HEARTBEAT": 100.0, "EXTENDED_SYS_STATE": 100.0}
-"""Often enough to see a change in the tick in which it happens."""
+RATES_HZ = {"HEARTBEAT": 100.0, "EXTENDED_SYS_STATE": 100.0, "ATTITUDE": 20.0}
+"""Events often enough to see a change in the tick in which it happens."""
 
 
 class Tape:
@@ -28,7 +28,7 @@ class Tape:
         self.said: list[Stamped] = []
         self.now_ms = 0
         self._waiting: list[Frame] = []
-        self.links = [Link("tape", EVENT_RATES_HZ, 1, signing, self._put)]
+        self.links = [Link("tape", RATES_HZ, 1, signing, self._put)]
 
     def play(self, frame: Frame) -> None:
         self._waiting.append(frame)

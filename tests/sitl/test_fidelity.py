@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sitl_fidelity import ARDUCOPTER, CLIENT, GOAL_RMS_MPS, GOAL_S, PX4, Flown
-from sitl.recording import cut, events, motion, on_vehicle_time, read, write
+from sitl.recording import Stamped, cut, events, motion, on_vehicle_time, read, write
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +113,43 @@ def test_braking_after_the_stream_stopped_begins_when_recorded(arducopter):
         times = np.arange(120.0, 130.0, 0.01)
         braking.append(times[np.nonzero(moved.at(times).velocity[:, 0] < 2.5)[0][0]])
     assert braking[0] == pytest.approx(braking[1], abs=GOAL_S)
+    assert arducopter.simulated.at(np.array([128.0])).velocity[0] == pytest.approx((0.0, 0.0, 0.0), abs=0.15)
+
+
+@pytest.mark.parametrize("start", [57.42, 65.42, 71.42, 77.42])
+def test_arducopter_ends_its_steps_when_recorded(arducopter, start):
+    """AUTOPILOT.md 4: t90 2.35, 2.27, 2.8, 3.31 s of the first four steps."""
+    step = next(step for step in arducopter.steps if abs(step.time_s - start) < 0.1)
+    simulated, recorded = (step.reached(moved, 0.9) for moved in (arducopter.simulated, arducopter.recorded))
+    assert simulated == pytest.approx(recorded, abs=0.3)
+
+
+def greatest_tilt(frames: list[Stamped], start: float, end: float) -> float:
+    """Of the ATTITUDEs told in a time [deg]."""
+    told = [one.message for one in frames if one.frame.name == "ATTITUDE" and start <= one.time_s < end]
+    return math.degrees(max(math.acos(math.cos(m.roll) * math.cos(m.pitch)) for m in told))
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "asked", "overshoot", "tilt"),
+    [(57.42, 65.4, 5.0, 0.021, 21.0), (77.42, 85.4, math.hypot(5.66, 5.66), 0.019, 28.0)],
+)
+def test_arducopter_overshoots_and_tilts_as_recorded(arducopter, start, end, asked, overshoot, tilt):
+    """AUTOPILOT.md 4: overshoot 2.1 % and 21 deg to 5 m/s north, 1.9 % and 28 deg to 8 m/s diagonal."""
+    velocity = arducopter.simulated.at(np.arange(start, end, 0.02)).velocity
+    assert np.hypot(velocity[:, 0], velocity[:, 1]).max() / asked - 1.0 == pytest.approx(overshoot, abs=0.02)
+    assert greatest_tilt(arducopter.said, start, end) == pytest.approx(tilt, abs=2.5)
+    assert greatest_tilt(arducopter.frames, start, end) == pytest.approx(tilt, abs=1.5)
+
+
+@pytest.mark.parametrize("height", [0.1, 5.0, 9.85])
+def test_arducopter_is_at_a_height_of_its_takeoff_when_recorded(arducopter, height):
+    """Lifted off 1.4 s after the command, at 9.85 m after 7.9 s, at 2.5 m/s in between."""
+    times = np.arange(43.7, 54.4, 0.02)
+    passed = [
+        times[moved.at(times).position[:, 2] < -height][0] for moved in (arducopter.simulated, arducopter.recorded)
+    ]
+    assert passed[0] == pytest.approx(passed[1], abs=0.6)
 
 
 def test_a_recording_cut_again_is_the_same(tmp_path):
