@@ -61,8 +61,8 @@ def world(p: Parameters) -> World:
 def pack(p: Parameters) -> Pack:
     """The battery of the BATT_* parameters.
 
-    Low is less than BATT_LOW_MAH, or than BATT_LOW_VOLT for BATT_LOW_TIMER [s] (0: the voltage is not watched); critical
-    by BATT_CRT_* likewise.
+    Low is less than BATT_LOW_MAH, or than BATT_LOW_VOLT for BATT_LOW_TIMER [s] (0: the voltage is not watched);
+    critical by BATT_CRT_* likewise.
 
     SIM_BATT_VOLTAGE is that of a full one: lowered in flight it makes the battery low, as on ArduPilot's simulator.
     """
