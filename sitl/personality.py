@@ -68,11 +68,6 @@ class Commander(Protocol):
     now_ms: int
     """Vehicle time since boot."""
     armed: bool
-    flying: bool
-    """Whether the control law drives the motors; False on the ground and disarmed."""
-    has_flown: bool
-    """Whether it ever left the ground."""
-    landed: Landed
     home: Vec3 | None
     """NED from the local origin [m]."""
     battery: Battery
@@ -80,6 +75,19 @@ class Commander(Protocol):
     """Messages, by name, to be sent to everybody at once; emptied when they are."""
     plans: Plans
     """The mission and the fence, kept by the mission service, flown by the commander."""
+
+    @property
+    def flying(self) -> bool:
+        """Whether the control law drives the motors; False on the ground and disarmed."""
+        ...
+
+    @property
+    def has_flown(self) -> bool:
+        """Whether it ever left the ground."""
+        ...
+
+    @property
+    def landed(self) -> Landed: ...
 
     @property
     def ready(self) -> bool:

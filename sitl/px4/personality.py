@@ -8,7 +8,8 @@ from sitl.links.frames import pack as packed
 from sitl.parameters import Parameters
 from sitl.personality import Answers, FlightMode, Missions, Personality, Result, Version
 from sitl.plan import Verdict
-from sitl.px4.commander import BOOT, Commander
+from sitl.px4.arming import BOOT
+from sitl.px4.commander import Commander
 from sitl.px4.modes import NAMES, custom_mode, mode_number
 from sitl.px4.parameters import TABLE
 from sitl.px4.streams import COMPANION_RATES_HZ, GCS_RATES_HZ

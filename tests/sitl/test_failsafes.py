@@ -420,7 +420,7 @@ def test_flight_time_limit_returns():
     with direct(COM_FLT_TIME_MAX=15) as vehicle:
         vehicle.take_off(494.0)
         vehicle.until(lambda: vehicle.mode == RETURN, 25)
-        assert vehicle.time_ms - vehicle.commander._lifted_ms == pytest.approx(20_000, abs=1050)
+        assert vehicle.time_ms - vehicle.commander.ground.lifted_ms == pytest.approx(20_000, abs=1050)
 
 
 def test_sticks_lost_in_offboard(hovering):
