@@ -388,9 +388,9 @@ def fence_status(v: Vehicle) -> Payload | None:
     c = commander(v)
     return pack(
         "FENCE_STATUS",
-        breach_status=int(bool(c.breach)),
-        breach_count=min(c.breaches, 65535),
-        breach_type=int(c.breach),
+        breach_status=int(bool(c.watch.breach)),
+        breach_count=min(c.watch.breaches, 65535),
+        breach_type=int(c.watch.breach),
         breach_time=0,
         breach_mitigation=0,
     )
