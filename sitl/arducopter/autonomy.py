@@ -11,6 +11,7 @@ from sitl.arducopter.vehicle_setup import limits, shape
 from sitl.flight.control import Setpoint
 from sitl.flight.physics import Body, heading
 from sitl.flight.reference import Limits, Reference, Vec3, approach, follow, stopping_point, turned, vector
+from sitl.landing import Landing
 from sitl.parameters import Parameters
 
 NAN = math.nan
@@ -164,21 +165,15 @@ class Destination:
         self._speed = min(self._speed + self._acceleration * dt, most.speed_xy)
 
 
-class Land:
+class Land(Landing):
     """Brake and come down: at WPNAV_SPEED_DN (LAND_SPEED_HIGH), at LAND_SPEED below LAND_ALT_LOW."""
 
-    landing = True
     AHEAD_M = 0.5
     """The height asked for is no further below the vehicle, also when that stands on the ground."""
 
     def __init__(self, body: Body, p: Parameters, ground_down: float, place: tuple[float, float] | None = None) -> None:
+        super().__init__(body, limits(p), ground_down, place)
         self._p = p
-        self._limits = limits(p)
-        self._reference = Reference(vector(body.position), vector(body.velocity))
-        x, y, _ = stopping_point(self._reference, self._limits)
-        self._place = place or (x, y)
-        self._ground_down = ground_down
-        self._yaw = heading(body.attitude)
 
     def sink_rate(self, height: float) -> float:
         """[m/s] at a height [m]: a square-root controller of the height above LAND_ALT_LOW."""

@@ -55,24 +55,7 @@ def extended_sys_state(v: Vehicle) -> Payload:
 
 def home_position(v: Vehicle) -> Payload | None:
     """With no attitude in it."""
-    home = v.commander.home
-    if home is None:
-        return None
-    latitude, longitude = v.origin.globe(home[0], home[1])
-    return pack(
-        "HOME_POSITION",
-        latitude=round(latitude * 1e7),
-        longitude=round(longitude * 1e7),
-        altitude=round((v.origin.altitude - home[2]) * 1000.0),
-        x=home[0],
-        y=home[1],
-        z=home[2],
-        q=[NAN] * 4,
-        approach_x=0.0,
-        approach_y=0.0,
-        approach_z=0.0,
-        time_usec=v.now_ms * 1000,
-    )
+    return common.home_position(v, (NAN, NAN, NAN, NAN))
 
 
 def gps_global_origin(v: Vehicle) -> Payload | None:
