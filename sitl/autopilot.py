@@ -178,4 +178,5 @@ class Autopilot:
             number = self._texts = self._texts % 65535 + 1
         for payload in statustexts(text, severity, number):
             for link in self.network.links:
-                link.send(payload)
+                if link.streaming:
+                    link.send(payload)

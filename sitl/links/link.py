@@ -76,7 +76,7 @@ class Link:
 
     @property
     def streaming(self) -> bool:
-        """Whether telemetry other than heartbeats is sent."""
+        """Whether telemetry other than heartbeats is sent, STATUSTEXT included (a stream like the others on PX4)."""
         return self._talks_first or self.heard
 
     def reset_streams(self, now_ms: int) -> None:
