@@ -1,9 +1,11 @@
 """The conformance kit passes our autopilots, fails wrong ones, and leaves every vehicle as it found it."""
 
+import io
 import json
 import signal
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -11,9 +13,10 @@ import typer
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
+from rich.console import Console
 from typer.testing import CliRunner
 
-from sitl.conformance import parameters
+from sitl.conformance import parameters, report
 from sitl.conformance.cli import conformance
 from sitl.conformance.outcome import Outcome, Silent
 from sitl.conformance.run import leave, meet, run
@@ -269,3 +272,18 @@ def test_interrupted_in_the_air_it_lands_and_restores(number):
             watcher.wire.close()
         assert kit.returncode == 1
         assert told["not_restored"] == ["interrupted"]
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_the_table_leaves_no_word_out(width):
+    """Also piped, when rich takes the terminal to be 80 columns wide."""
+    seen, clause = "velocity 4.93 of 5 [m/s] after 8 s", "MAVLink common: SET_POSITION_TARGET_LOCAL_NED is followed"
+    told = io.StringIO()
+    outcome = Outcome(3, "velocity setpoints", "pass", seen, clause, 8.0)
+    report.show(Console(file=told, width=width), [outcome], "PX4", [])
+    text = told.getvalue()
+    assert "…" not in text
+    assert Counter("".join((seen + clause).split())) <= Counter(text)
+    if width == 200:
+        assert seen in text
+        assert clause in text
