@@ -7,6 +7,7 @@ from sitl.autopilot import Autopilot
 from sitl.flight.sensors import Faults, Loss
 
 MOTORS = 4
+NUMBERS = tuple(str(motor) for motor in range(1, MOTORS + 1))
 
 
 def number(text: str, what: str, low: float, high: float) -> float:
@@ -45,7 +46,9 @@ def motor(autopilot: Autopilot, words: list[str]) -> None:
     left = {"fail": 0.0, "ok": 1.0}.get(how)
     if left is None:
         left = number(how, "motor", 0.0, 1.0)
-    index = None if which == "all" else int(number(which, "motor", 1, MOTORS)) - 1
+    if which not in NUMBERS and which != "all":
+        raise ValueError(f"inject motor: {which!r} is not one of {', '.join(NUMBERS)} and all")
+    index = None if which == "all" else NUMBERS.index(which)
     set_motor(autopilot.vehicle.model.faults, index, left)
     if left == 1.0 and index is None:
         autopilot.vehicle.model.repair()
