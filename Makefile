@@ -8,8 +8,8 @@ STAMP  := $(VENV)/.installed
 fly: $(STAMP)  ## install and fly the demo mission
 	$(BIN)/aerialstar fly missions/demo.yaml
 
-test: $(STAMP)  ## the whole test suite
-	$(BIN)/python -m pytest
+test: $(STAMP)  ## the whole test suite, one file at a time on each core
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(STAMP)  ## style, types, import rule
 	$(BIN)/ruff check .
@@ -30,6 +30,8 @@ $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -c "import torch" 2>/dev/null || $(BIN)/pip install --quiet -c constraints.txt torch
 	$(BIN)/pip install --quiet -c constraints.txt -e ".[dev]"
+	# For tests. Without its dependencies: its 3-D map would bring 750 MB of VTK and OpenCV.
+	$(BIN)/pip install --quiet -c constraints.txt --no-deps MAVProxy
 	touch $@
 
 clean:

@@ -101,11 +101,10 @@ def require_fit(path: Path, metadata: Metadata, scenario: Scenario) -> None:
         has, wants = getattr(metadata, name), getattr(scenario, name)
         if has != wants:
             raise CheckpointError(f"checkpoint {path}: trained with {name}{symbol} = {has}, the scenario has {wants}")
-    surface = metadata.scenario.get("surface", "coupled")  # which older checkpoints do not name
-    if surface != scenario.surface:
-        raise CheckpointError(
-            f"checkpoint {path}: trained with surface = {surface}, the scenario has {scenario.surface}"
-        )
+    for name, before in (("surface", "coupled"), ("state_extra", [])):  # which older checkpoints do not name
+        has, wants = metadata.scenario.get(name, before), scenario.model_dump(mode="json", include={name})[name]
+        if has != wants:
+            raise CheckpointError(f"checkpoint {path}: trained with {name} = {has}, the scenario has {wants}")
 
 
 def _read(path: Path, *, weights: bool) -> Checkpoint:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from agent.decoding import PhysicalAction, decode
 from agent.inertia import reachable
-from agent.observation import Normalisation, observe, state_size
+from agent.observation import Normalisation, channel_size, observe
 from rf_model.channels import Channels, Fading, draw_fading, faded_channels
 from rf_model.csi import Observed
 from rf_model.geometry import panel_frame
@@ -90,8 +90,7 @@ class Environment:
         self._yaw = torch.full((batch,), scenario.panel_heading_rad, device=self.device)
         self._level = panel_frame(self._yaw)
         self._observed = Observed(scenario)
-        coefficients = batch * (state_size(scenario) - 3) // 2
-        self._block = max(1, min(scenario.slots + 1, BLOCK // coefficients))
+        self._block = max(1, min(scenario.slots + 1, BLOCK // (batch * channel_size(scenario))))
 
     def reset(self) -> Tensor:
         """Begin an episode in every world; returns the observations [B, S]."""
@@ -172,4 +171,5 @@ class Environment:
         fading = self._fading.slot(self.slot % self._block)
         channels = faded_channels(self.scenario, position_enu, frame, users.position_enu, fading)
         self.world = World(position_enu, velocity_enu, users, channels)
-        return observe(position_enu, self._observed.of(channels, self.generator), self.normalisation)
+        observed = self._observed.of(channels, self.generator)
+        return observe(position_enu, users.position_enu, self.slot, observed, self.normalisation)

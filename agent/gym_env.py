@@ -43,6 +43,13 @@ class AerialStarEnv(gymnasium.Env[Arrays, Arrays]):
     | 2JM | `direct` | -inf | inf | h_b [J, M, (re, im)], base station to users |
     | 2JN | `ris_user` | -inf | inf | h_s [J, N, (re, im)], surface to users |
 
+    The scenario's `state_extra: [users, time]` adds one or both of
+
+    | num | part | min | max | what |
+    | --- | --- | --- | --- | --- |
+    | 3J | `users` | -inf | inf | users relative to the vehicle [J, 3], in units of half the box |
+    | 1 | `time` | 0 | 1 | slots gone by, of all |
+
     Channels are relative to the root of their link's mean gain. (`state_norm: raw`: metres and channels as they are.)
     With `observation_form="dict"`: a `Dict` of these parts.
 

@@ -1,5 +1,6 @@
 """The agent on the bus: one `Action` for every `ChannelState`."""
 
+import gc
 import queue
 import time
 from collections import Counter
@@ -42,6 +43,8 @@ def run(
     torch.set_num_threads(1)
     decide = make_policy(policy, scenario, seed)
     normalisation = Normalisation.of(scenario)
+    gc.collect()
+    gc.freeze()  # or going through all that is loaded takes 0.1 s in the middle of some slot
     counters: Counter[str] = Counter(received=0, decided=0, wrong_size=0, not_finite=0)
     refused: Counter[str] = Counter()
     inbox: Inbox = queue.SimpleQueue()

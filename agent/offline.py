@@ -9,9 +9,10 @@ import torch
 from numpy.typing import NDArray
 
 from agent.daddpg import DualActorDdpg, signs
+from agent.observation import ends
 from agent.policies import sizes
 from agent.replay_buffer import Batch, ReplayBuffer
-from agent.training import POLICY_FILE, Result, TrainingError, judge, save_policy
+from agent.training import POLICY_FILE, Result, TrainingError, judge, require_time, save_policy
 from agent.training_config import TrainingConfig
 from rf_model.scenario import Scenario
 
@@ -32,7 +33,7 @@ class Transitions:
     next_observation: NDArray[np.float32]
     """[T, S]"""
     terminated: NDArray[np.bool_]
-    """[T]; a time limit does not terminate."""
+    """[T]; a time limit does not terminate, unless `TrainingConfig.time_limit` says so."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,10 @@ def train_offline(
     First both actors imitate what was executed, then `config.offline_updates` DA-DDPG updates improve on it while the
     cloning loss keeps them near the data, where the critic knows what it says. The result is judged in simulated
     worlds of the same scenario. Fewer transitions than `config.batch_size` are sampled in batches of that many. Raises
-    TrainingError when there are fewer than two, when they are not finite or of another scenario's sizes, or when the
-    folder holds a run already.
+    TrainingError when there are fewer than two, when they are not finite or of another scenario's sizes, when the
+    folder holds a run already, or when `config.time_limit` needs a time that is not in the state.
     """
+    require_time(scenario, config)
     agent = DualActorDdpg(sizes(scenario), config)
     replay = _replay(transitions, agent)
     batch_size = min(config.batch_size, len(replay))
@@ -96,6 +98,8 @@ def _replay(transitions: Transitions, agent: DualActorDdpg) -> ReplayBuffer:
     for name, tensor in tensors.items():
         if not torch.isfinite(tensor).all():
             raise TrainingError(f"offline: {name} holds numbers that are not finite")
+    if agent.config.time_limit == "terminates":
+        tensors["terminated"] = tensors["terminated"].maximum(ends(tensors["next_observation"]).to(torch.float32))
     action = tensors["action"].clip(-1, 1)
     action[:, size.continuous :] = signs(action[:, size.continuous :])
     replay = ReplayBuffer(count, size.state, size.action)

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,6 +12,7 @@ from agent.networks import Actor
 from agent.observation import state_size
 from agent.policy import Policy, PolicyConfig
 from rf_model.scenario import Scenario
+from rf_model.seeding import seed_of
 
 
 def sizes(scenario: Scenario) -> Sizes:
@@ -57,8 +57,7 @@ class RandomPolicy:
         self._seed = seed
 
     def __call__(self, observation: Tensor, slot: int) -> Tensor:
-        slot_seed = np.random.SeedSequence((self._seed, slot)).generate_state(1, np.uint64)[0]
-        generator = torch.Generator().manual_seed(int(slot_seed))
+        generator = torch.Generator().manual_seed(seed_of(self._seed, slot))
         shape = (*observation.shape[:-1], self._size)
         return torch.rand(shape, generator=generator, dtype=observation.dtype) * 2 - 1
 

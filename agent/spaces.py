@@ -65,7 +65,11 @@ def action_layout(scenario: Scenario) -> Layout:
 def observation_layout(scenario: Scenario) -> Layout:
     """Parts of the observation, see `agent.observation.observe`; the last dimension of channels is (re, im)."""
     N, M, J = scenario.elements, scenario.antennas, scenario.users
-    return Layout({"position": (3,), "bs_ris": (N, M, 2), "direct": (J, M, 2), "ris_user": (J, N, 2)})
+    extra: dict[str, tuple[int, ...]] = {"users": (J, 3), "time": (1,)}
+    return Layout(
+        {"position": (3,), "bs_ris": (N, M, 2), "direct": (J, M, 2), "ris_user": (J, N, 2)}
+        | {name: extra[name] for name in scenario.state_extra}
+    )
 
 
 class Interface:

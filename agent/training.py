@@ -15,6 +15,7 @@ from agent.daddpg import DualActorDdpg
 from agent.environment import Environment
 from agent.evaluation import Evaluation, baselines, evaluate
 from agent.exploration import OrnsteinUhlenbeck, decayed, epsilon_greedy, random_actions
+from agent.observation import ends
 from agent.policies import TrainedPolicy, sizes
 from agent.replay_buffer import Batch, ReplayBuffer
 from agent.training_config import TrainingConfig
@@ -58,6 +59,7 @@ class Learner:
     """Environment, learner and replay, advanced one round (one episode in every environment) at a time."""
 
     def __init__(self, scenario: Scenario, config: TrainingConfig) -> None:
+        require_time(scenario, config)
         self.scenario = scenario
         self.config = config
         self.episodes = 0
@@ -90,7 +92,10 @@ class Learner:
                 action[:, : size.continuous].clip_(-1, 1)
                 action[:, size.continuous :] = epsilon_greedy(action[:, size.continuous :], epsilon, self.generator)
             step = self.environment.step(action)
-            self.replay.add(Batch(observation, action, step.reward, step.observation, torch.zeros_like(step.reward)))
+            terminated = torch.zeros_like(step.reward)
+            if config.time_limit == "terminates":
+                terminated = ends(step.observation).to(step.reward.dtype)
+            self.replay.add(Batch(observation, action, step.reward, step.observation, terminated))
             if self.replay.added >= config.warmup:
                 for _ in range(config.updates_per_step):
                     losses = self.agent.update(self.replay.sample(config.batch_size, self.generator))
@@ -218,6 +223,12 @@ def train(
             learner.save(state_file)
         report(progress)
     return judge(policy_file, scenario, config)
+
+
+def require_time(scenario: Scenario, config: TrainingConfig) -> None:
+    """Raise TrainingError when episodes are to end at a time that no state tells."""
+    if config.time_limit == "terminates" and "time" not in scenario.state_extra:
+        raise TrainingError("time_limit: 'terminates' needs the time in the state (the scenario's state_extra: [time])")
 
 
 def save_policy(

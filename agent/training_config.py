@@ -38,7 +38,9 @@ class TrainingConfig(BaseModel):
     actor_lr: Positive = 1e-4
     critic_lr: Positive = 1e-3
     discount: Annotated[float, Field(ge=0, le=1)] = 0.9
-    """zeta of paper eq. 24."""
+    """zeta of paper eq. 24; the paper has 1, which is sound for episodes that end (`time_limit: terminates`)."""
+    time_limit: Literal["truncates", "terminates"] = "truncates"
+    """Whether values go on beyond an episode's last slot, or end there, which a state must tell by its time."""
     soft_update: Fraction = 0.005
     """tau: w' <- (1 - tau) w' + tau w (Alg. 1, whose printed line would change nothing)."""
     target_state: Literal["next", "current"] = "next"

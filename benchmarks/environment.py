@@ -4,7 +4,8 @@
 
 The NumPy version is what one writes first: one world, a loop over users, the same physics (fresh fading, decoding,
 SINR, rates, power, reward, motion, users walking, observation). Steps are per second of processor time of the one
-thread, so that a machine shared with others is judged fairly; ratios are those of this run on this machine. The last
+thread, so that a machine shared with others is judged fairly; ratios are those of this run on this machine. That both
+do the same is to be seen by their mean episode rewards under random actions, each with its standard error. The last
 line is the peak memory of 1024 worlds of 256 elements, in a process of their own.
 """
 
@@ -203,6 +204,25 @@ def plain(scenario: Scenario, seconds: float) -> float:
     return rate(step, seconds)
 
 
+def episode_rewards(scenario: Scenario) -> dict[str, tuple[float, float]]:
+    """Mean and standard error of an episode's reward under random actions, batched and plain."""
+    generator, rng = torch.Generator().manual_seed(1), np.random.default_rng(1)
+    environment, world = Environment(scenario, EPISODES["batched"], seed=1), PlainWorld(scenario, seed=1)
+    size = action_size(scenario)
+    batched, plain = torch.zeros(EPISODES["batched"]), np.zeros(EPISODES["plain NumPy"])
+    with torch.inference_mode():
+        environment.reset()
+        for _ in range(scenario.slots):
+            batched += environment.step(torch.rand(len(batched), size, generator=generator) * 2 - 1).reward
+    for episode in range(len(plain)):
+        world.reset()
+        plain[episode] = sum(world.step(rng.uniform(-1, 1, size))[1] for _ in range(scenario.slots))
+    return {
+        name: (float(rewards.mean()), float(rewards.std(ddof=1)) / math.sqrt(len(rewards)))
+        for name, rewards in (("batched", batched.numpy()), ("plain NumPy", plain))
+    }
+
+
 def peak_memory_mib() -> float:
     """Of this process after a few steps of 1024 worlds of `physical_1km`."""
     scenario = preset("physical_1km")
@@ -222,6 +242,10 @@ GOALS = {
 """Steps per second on one core."""
 
 
+EPISODES = {"batched": 2048, "plain NumPy": 512}
+"""Flown to compare rewards."""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=3.0, help="time for each measurement")
@@ -237,6 +261,9 @@ def main() -> None:
         measured[f"Gymnasium vector, {batches[-1]}"] = vector(scenario, batches[-1], seconds)
         base = measured["plain NumPy, loop per user"]
         print(f"{name}: N={scenario.elements} M={scenario.antennas} J={scenario.users}")
+        earned = episode_rewards(scenario)
+        said = ", ".join(f"{who} {mean:.3f} +- {error:.3f}" for who, (mean, error) in earned.items())
+        print(f"  episode reward of random actions, mean +- standard error: {said}")
         print(f"  {'':28}{'steps/s':>12}{'ratio':>9}{'goal':>12}")
         for what, speed in measured.items():
             goal = GOALS.get((name, what))

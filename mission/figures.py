@@ -71,7 +71,7 @@ def _trajectory(axes: Axes3D, flown: list[TrackSample], links: list[LinkReport],
         walk = np.array([link.users_enu[user] for link in links])
         axes.plot(*walk.T, color=SIDES[region], linewidth=1.2)
         axes.scatter(*walk[-1], color=SIDES[region], s=26, depthshade=False)
-        axes.text(*(walk[-1] + (0.0, 0.0, 5.0)), f"user {user + 1}", color=SIDES[region], fontsize=8, ha="center")
+        axes.text(*(walk[-1] + (0.0, 0.0, 5.0)), f"user {user}", color=SIDES[region], fontsize=8, ha="center")
     for side, colour in SIDES.items():
         axes.plot([], [], "o", color=colour, markersize=5, label=f"user, {side} side at the start")
 
@@ -129,7 +129,7 @@ def _rates(axes: Axes, links: list[LinkReport], qos_bps: float, start_s: float) 
             linestyle=line,
             where="post",
             color=SIDES[region],
-            label=f"user {user + 1}",
+            label=f"user {user}",
         )
     axes.axhline(qos_bps / 1e3, color=PLANNED, linewidth=1.4, linestyle=(0, (6, 3)), label="QoS")
     axes.set_yscale("log")

@@ -125,7 +125,7 @@ def table(report: Report) -> RenderableType:
     users.add_column("side at the start")
     users.add_column("mean rate, kbit/s", justify="right")
     users.add_column(f"slots below {report.qos_bps / 1e3:g} kbit/s", justify="right")
-    for number, user in enumerate(report.users, start=1):
+    for number, user in enumerate(report.users):
         users.add_row(str(number), user.region, f"{user.mean_rate_bps / 1e3:.0f}", f"{user.below_qos:.0%}")
 
     total = Table(show_header=False)

@@ -23,7 +23,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
-import numpy as np
 import torch
 import zenoh
 
@@ -41,6 +40,7 @@ from bus.messages import (
 from rf_model.history import History
 from rf_model.ris_control import RisControl
 from rf_model.scenario import Scenario
+from rf_model.seeding import seed_of
 from rf_model.slot_radio import AGENT, SlotRadio, rehearse
 
 NODE = "rf"
@@ -55,10 +55,7 @@ _Inbox = queue.SimpleQueue[tuple["_Vehicle", _Item]]
 
 def vehicle_seeds(seed: int, vehicles: Sequence[str]) -> dict[str, int]:
     """A seed for each vehicle: the first has `seed` itself, every other one that follows from `seed` and its name."""
-    seeds = {
-        name: int(np.random.SeedSequence((seed, *name.encode())).generate_state(1, np.uint64)[0] >> np.uint64(1))
-        for name in vehicles
-    }
+    seeds = {name: seed_of(seed, *name.encode()) >> 1 for name in vehicles}
     return seeds | {vehicles[0]: seed}
 
 

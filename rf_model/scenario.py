@@ -9,9 +9,9 @@ import math
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
 from airframe.power import (
     Climb,
@@ -52,6 +52,13 @@ WindSpeed = Annotated[float, Field(ge=-50, le=50)]
 Point = Annotated[tuple[Metres, Metres, Metres], Strict(False)]
 Interval = Annotated[tuple[Metres, Metres], Strict(False)]
 Box = Annotated[tuple[Interval, Interval, Interval], Strict(False)]
+StateExtra: TypeAlias = Literal["users", "time"]
+
+
+def _in_order(extra: tuple[StateExtra, ...]) -> tuple[StateExtra, ...]:
+    if len(set(extra)) < len(extra):
+        raise ValueError(f"{', '.join(extra)}: each may be named once")
+    return tuple(sorted(extra, reverse=True))  # users, time: the order in the state, whichever they are named in
 
 
 class ScenarioError(ValueError):
@@ -222,6 +229,8 @@ class Scenario(StrictModel):
     """Weight of the power, relative to hovering without a panel."""
     state_norm: Literal["link_reference", "raw"] = "link_reference"
     """Observations divide each link by the root of its mean gain at the start and positions by the box, or nothing."""
+    state_extra: Annotated[tuple[StateExtra, ...], Strict(False), AfterValidator(_in_order)] = ()
+    """What is observed beyond eq. 22: where the users are as seen from the vehicle, and the part of `slots` gone by."""
 
     @model_validator(mode="before")
     @classmethod

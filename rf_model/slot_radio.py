@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -37,6 +36,7 @@ from rf_model.reference.solve import ReferenceInputError
 from rf_model.reward import reward
 from rf_model.ris_control import RisControl, reference_solution
 from rf_model.scenario import Scenario
+from rf_model.seeding import generator_of
 from rf_model.star_ris import Coefficients, TrcError
 from rf_model.surfaces import read_coefficients, surface_of
 from rf_model.world import slot_power, slot_rates, track_power
@@ -224,9 +224,9 @@ class SlotRadio:
         position = torch.tensor(opened.position_enu, dtype=torch.float64)
         roll, pitch, yaw = torch.tensor(opened.attitude_rad, dtype=torch.float64)
         frame = panel_frame(yaw) if self._scenario.attitude == "level" else panel_frame(yaw, roll, pitch)
-        fading = draw_fading(self._scenario, (), self._generator(opened.slot, _CHANNELS), torch.float64)
+        fading = draw_fading(self._scenario, (), generator_of(self._seed, opened.slot, _CHANNELS), torch.float64)
         channels = faded_channels(self._scenario, position, frame, users.position_enu, fading)
-        observed = self._observed.of(channels, self._generator(opened.slot, _ESTIMATES))
+        observed = self._observed.of(channels, generator_of(self._seed, opened.slot, _ESTIMATES))
         return _OpenSlot(opened, users, channels, observed)
 
     def _report(self, slot: _OpenSlot, next_opened: SlotOpened, rated: _OpenSlot | None) -> LinkReport:
@@ -288,16 +288,12 @@ class SlotRadio:
     def _users_of(self, slot: int) -> Users:
         """Users of a slot, walked there from slot 0: the same whenever this node was started."""
         if self._walked is None or self._walked[0] > slot:
-            self._walked = (0, initial_users(self._scenario, (), self._generator(0, _USERS), torch.float64))
+            self._walked = (0, initial_users(self._scenario, (), generator_of(self._seed, 0, _USERS), torch.float64))
         walked, users = self._walked
         for step in range(walked + 1, slot + 1):
-            users = move_users(self._scenario, users, self._generator(step, _USERS))
+            users = move_users(self._scenario, users, generator_of(self._seed, step, _USERS))
         self._walked = (slot, users)
         return users
-
-    def _generator(self, slot: int, stream: int) -> torch.Generator:
-        state = np.random.SeedSequence((self._seed, slot, stream)).generate_state(1, np.uint64)
-        return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
 
     def _forget_flight(self) -> None:
         """What was set does not outlive the flight."""

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl.flight_model import FlightModel
-from sitl.frames import Frame, Message, Payload, decode
-from sitl.link import Link
-from sitl.network import Network
+from sitl.flight.flight_model import FlightModel
+from sitl.links.frames import Frame, Message, Payload, decode
+from sitl.links.link import Link
+from sitl.links.network import Network
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
@@ -157,7 +157,8 @@ class Autopilot:
             news = self._build(name)
             if news is not None:
                 for link in self.network.links:
-                    link.send(news)
+                    if link.streaming:
+                        link.send(news)
         v.commander.news.clear()
         for link in self.network.links:
             parameters.continue_list(v, link)
@@ -177,4 +178,5 @@ class Autopilot:
             number = self._texts = self._texts % 65535 + 1
         for payload in statustexts(text, severity, number):
             for link in self.network.links:
-                link.send(payload)
+                if link.streaming:
+                    link.send(payload)

@@ -35,9 +35,9 @@ def sitl(
     launcher: Annotated[
         int | None, typer.Option(metavar="PID", help="Our parent process; end if it dies before there was a flight.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the sensor noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of sensor noise, gusts and estimator error.")] = 0,
     home: Annotated[
-        str, typer.Option(metavar="LAT,LON,ALT", help="Start on the globe [deg, deg, m above mean sea level].")
+        str, typer.Option(metavar="LAT,LON,ALT", help="Start on the globe (deg, deg, m above mean sea level).")
     ] = "47.397743,8.545594,489.4",
     param: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Set a parameter; may be repeated.")
@@ -49,7 +49,7 @@ def sitl(
         int, typer.Option(min=1, max=100, help="How many; each has the ports and the system id of the one before + 1.")
     ] = 1,
     spacing: Annotated[
-        float, typer.Option(min=0.0, max=1000.0, help="Each vehicle starts so far east of the one before [m].")
+        float, typer.Option(min=0.0, max=1000.0, help="Each vehicle starts so far east of the one before (m).")
     ] = 5.0,
     signing_key: Annotated[
         Path | None,
@@ -57,10 +57,10 @@ def sitl(
     ] = None,
 ) -> None:
     """Simulate PX4 or ArduCopter quadcopters that MAVLink clients can fly (UDP and TCP on loopback)."""
+    from sitl.links.signing import read_key
     from sitl.origin import read_origin
     from sitl.parameters import ParameterError, Parameters
     from sitl.personality import personality as personality_of
-    from sitl.signing import read_key
 
     played = personality_of(personality)
     parameters = Parameters(played.table)

@@ -3,7 +3,7 @@
 import selectors
 import socket
 
-from sitl.link import PortError
+from sitl.links.link import PortError
 
 LINE_MAX = 4096
 ADVANCE_MAX_MS = 60_000

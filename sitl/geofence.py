@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TypeAlias
 
+from sitl.flight.reference import Vec3
 from sitl.origin import Origin
 from sitl.plan import CIRCLE_INCLUSION, CIRCLES, POLYGON_INCLUSION, Item
-from sitl.reference import Vec3
 
 Point = tuple[float, float]
 

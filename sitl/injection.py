@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable
 
 from sitl.autopilot import Autopilot
-from sitl.sensors import Faults, Loss
+from sitl.flight.sensors import Faults, Loss
 
 MOTORS = 4
+NUMBERS = tuple(str(motor) for motor in range(1, MOTORS + 1))
 
 
 def number(text: str, what: str, low: float, high: float) -> float:
@@ -20,13 +21,18 @@ def number(text: str, what: str, low: float, high: float) -> float:
     return value
 
 
+def word(what: Loss) -> str:
+    """What a loss is called in a request."""
+    return f"{what.name.lower()}_loss"
+
+
 def _lose(what: Loss) -> Callable[[Autopilot, list[str]], None]:
     """A handler that takes something away for so many seconds; without a number for good, 0 gives it back."""
 
     def lose(autopilot: Autopilot, words: list[str]) -> None:
         if len(words) > 1:
-            raise ValueError(f"inject {what.value}: takes [seconds], not {' '.join(words)!r}")
-        seconds = number(words[0], what.value, 0.0, 1e6) if words else math.inf
+            raise ValueError(f"inject {word(what)}: takes [seconds], not {' '.join(words)!r}")
+        seconds = number(words[0], word(what), 0.0, 1e6) if words else math.inf
         autopilot.vehicle.model.faults.lose(what, autopilot.now_ms + seconds * 1000.0)
 
     return lose
@@ -40,7 +46,9 @@ def motor(autopilot: Autopilot, words: list[str]) -> None:
     left = {"fail": 0.0, "ok": 1.0}.get(how)
     if left is None:
         left = number(how, "motor", 0.0, 1.0)
-    index = None if which == "all" else int(number(which, "motor", 1, MOTORS)) - 1
+    if which not in NUMBERS and which != "all":
+        raise ValueError(f"inject motor: {which!r} is not one of {', '.join(NUMBERS)} and all")
+    index = None if which == "all" else NUMBERS.index(which)
     set_motor(autopilot.vehicle.model.faults, index, left)
     if left == 1.0 and index is None:
         autopilot.vehicle.model.repair()
@@ -87,7 +95,7 @@ def nothing(autopilot: Autopilot, words: list[str]) -> None:
 
 
 INJECTIONS: dict[str, Callable[[Autopilot, list[str]], None]] = {
-    **{what.value: _lose(what) for what in Loss},
+    **{word(what): _lose(what) for what in Loss},
     "motor": motor,
     "battery": battery,
     "wind": wind,

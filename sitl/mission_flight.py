@@ -7,8 +7,19 @@ import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from sitl.control import Setpoint
-from sitl.physics import Body, heading
+from sitl.flight.control import Setpoint
+from sitl.flight.physics import Body, heading
+from sitl.flight.reference import (
+    ERROR_MAX_M,
+    Limits,
+    Reference,
+    Vec3,
+    lead,
+    speed_for_distance,
+    stopping_point,
+    turned,
+    vector,
+)
 from sitl.plan import (
     CHANGE_SPEED,
     DELAY,
@@ -23,17 +34,6 @@ from sitl.plan import (
     WAYPOINT,
     Item,
     Plans,
-)
-from sitl.reference import (
-    ERROR_MAX_M,
-    Limits,
-    Reference,
-    Vec3,
-    lead,
-    speed_for_distance,
-    stopping_point,
-    turned,
-    vector,
 )
 
 NAN = math.nan

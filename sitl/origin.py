@@ -18,14 +18,15 @@ class Origin:
     def globe(self, north: float, east: float) -> tuple[float, float]:
         """Latitude and longitude [deg] of a local point."""
         around = EARTH_RADIUS_M * math.cos(math.radians(self.latitude))
-        return self.latitude + math.degrees(north / EARTH_RADIUS_M), self.longitude + math.degrees(east / around)
+        longitude = self.longitude + math.degrees(east / around)
+        return self.latitude + math.degrees(north / EARTH_RADIUS_M), math.remainder(longitude, 360.0)
 
     def local(self, latitude: float, longitude: float) -> tuple[float, float]:
         """North and east [m] of a point on the globe."""
         around = EARTH_RADIUS_M * math.cos(math.radians(self.latitude))
         return (
             math.radians(latitude - self.latitude) * EARTH_RADIUS_M,
-            math.radians(longitude - self.longitude) * around,
+            math.radians(math.remainder(longitude - self.longitude, 360.0)) * around,
         )
 
 

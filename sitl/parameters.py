@@ -4,6 +4,7 @@ import math
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9
 """MAV_PARAM_TYPE."""
@@ -65,7 +66,8 @@ class Parameters:
     def parameter(self, name: str) -> Parameter:
         """Raises ParameterError when there is no such parameter."""
         if name not in self._known:
-            raise ParameterError(f"parameter {name}: unknown name; known are {', '.join(self.names)}")
+            near = get_close_matches(name.upper(), self.names, n=3, cutoff=0.0)
+            raise ParameterError(f"parameter {name}: unknown name; nearest are {', '.join(near)}")
         return self._known[name]
 
     def set(self, name: str, value: float) -> None:

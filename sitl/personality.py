@@ -11,18 +11,18 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from sitl.battery import Battery, Pack
-from sitl.control import Gains, Setpoint
-from sitl.flight_model import FlightModel
-from sitl.frames import Payload
+from sitl.flight.battery import Battery, Pack
+from sitl.flight.control import Gains, Setpoint
+from sitl.flight.flight_model import FlightModel
+from sitl.flight.physics import Rotorcraft
+from sitl.flight.reference import Vec3
+from sitl.flight.world import World
+from sitl.links.frames import Payload
 from sitl.origin import Origin
 from sitl.parameters import Parameter, Parameters
-from sitl.physics import Rotorcraft
 from sitl.plan import Plans
-from sitl.reference import Vec3
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 from sitl.transfer import Rules
-from sitl.world import World
 
 if TYPE_CHECKING:
     from sitl.vehicle import Vehicle
@@ -68,11 +68,6 @@ class Commander(Protocol):
     now_ms: int
     """Vehicle time since boot."""
     armed: bool
-    flying: bool
-    """Whether the control law drives the motors; False on the ground and disarmed."""
-    has_flown: bool
-    """Whether it ever left the ground."""
-    landed: Landed
     home: Vec3 | None
     """NED from the local origin [m]."""
     battery: Battery
@@ -80,6 +75,19 @@ class Commander(Protocol):
     """Messages, by name, to be sent to everybody at once; emptied when they are."""
     plans: Plans
     """The mission and the fence, kept by the mission service, flown by the commander."""
+
+    @property
+    def flying(self) -> bool:
+        """Whether the control law drives the motors; False on the ground and disarmed."""
+        ...
+
+    @property
+    def has_flown(self) -> bool:
+        """Whether it ever left the ground."""
+        ...
+
+    @property
+    def landed(self) -> Landed: ...
 
     @property
     def ready(self) -> bool:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+from sitl.flight.reference import Vec3
 from sitl.origin import Origin
-from sitl.reference import Vec3
 
 
 class Kind(IntEnum):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.frames import Frame, Message, decode, split
+from sitl.links.frames import Frame, Message, decode, split
 
 STAMP_BYTES = 8
 NEIGHBOURHOOD_S = 1.0

@@ -6,17 +6,17 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from sitl.autopilot import TICK_MS, Autopilot
-from sitl.frames import Frame, split
-from sitl.link import Link
-from sitl.network import Network
+from sitl.links.frames import Frame, split
+from sitl.links.link import Link
+from sitl.links.network import Network
+from sitl.links.signing import Signing
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
 from sitl.recording import Motion, Stamped, motion
-from sitl.signing import Signing
 
-EVENT_RATES_HZ = {"HEARTBEAT": 100.0, "EXTENDED_SYS_STATE": 100.0}
-"""Often enough to see a change in the tick in which it happens."""
+RATES_HZ = {"HEARTBEAT": 100.0, "EXTENDED_SYS_STATE": 100.0, "ATTITUDE": 20.0}
+"""Events often enough to see a change in the tick in which it happens."""
 
 
 class Tape:
@@ -28,7 +28,7 @@ class Tape:
         self.said: list[Stamped] = []
         self.now_ms = 0
         self._waiting: list[Frame] = []
-        self.links = [Link("tape", EVENT_RATES_HZ, 1, signing, self._put)]
+        self.links = [Link("tape", RATES_HZ, 1, signing, self._put)]
 
     def play(self, frame: Frame) -> None:
         self._waiting.append(frame)

@@ -13,17 +13,17 @@ from functools import partial
 
 from sitl.autopilot import TICK_MS, Autopilot
 from sitl.control_socket import ControlClient, ControlSocket, read_advance
-from sitl.flight_model import compile_now
-from sitl.link import Link, PortError
-from sitl.network import Network, Port
+from sitl.flight.flight_model import compile_now
+from sitl.links.link import Link, PortError
+from sitl.links.network import Network, Port
+from sitl.links.signing import Signing
+from sitl.links.tcp import TcpPort
+from sitl.links.udp import SILENT_MS, UdpPort
 from sitl.origin import Origin
 from sitl.pacing import Pacer
 from sitl.parameters import Parameters
 from sitl.personality import Personality
 from sitl.requests import VEHICLE_REQUESTS
-from sitl.signing import Signing
-from sitl.tcp import TcpPort
-from sitl.udp import SILENT_MS, UdpPort
 
 LOCKSTEP_EPOCH_US = 1_767_225_600_000_000
 """SYSTEM_TIME at boot in lockstep, 2026-01-01: the same inputs give the same bytes."""
@@ -67,7 +67,7 @@ class Options:
     signing_key: bytes | None = None
 
 
-class Stopped(Exception):  # noqa: N818  # not an error: somebody asked the process to end
+class Stopped(BaseException):  # not an error, so that nothing that handles errors handles it
     """SIGINT, SIGTERM or `quit`."""
 
 
@@ -178,9 +178,9 @@ class Server:
             lines.append(self._control.describe())
         return lines
 
-    def run(self) -> None:
-        """Fly until stopped, told to quit, or landed (`exit_when_landed`)."""
-        while not self._finished():
+    def run(self, stopping: Callable[[], bool]) -> None:
+        """Fly until `stopping`, told to quit, or landed (`exit_when_landed`)."""
+        while not (stopping() or self._finished()):
             self.turn()
 
     def turn(self) -> None:
@@ -287,7 +287,7 @@ def run(options: Options) -> int:
         nonlocal stopping
         if not stopping:  # a second signal must not interrupt the closing
             stopping = True
-            raise Stopped
+            raise Stopped  # lost when it meets a destructor or a callback from C; then `stopping` ends the run
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
@@ -296,7 +296,7 @@ def run(options: Options) -> int:
         server = Server(options)
         for line in server.describe():
             print(line, flush=True)
-        server.run()
+        server.run(lambda: stopping)
     except Stopped:
         return 0
     except PortError as error:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from sitl.reference import Vec3
+from sitl.flight.reference import Vec3
 
 
 @dataclass(frozen=True)

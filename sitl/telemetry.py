@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl import sensors
-from sitl.frames import Payload, pack
-from sitl.physics import GRAVITY, euler, heading
-from sitl.reference import vector
+from sitl.flight import sensors
+from sitl.flight.physics import GRAVITY, euler, heading
+from sitl.flight.reference import vector
+from sitl.links.frames import Payload, pack
 from sitl.vehicle import Vehicle
 
 NAN = math.nan
@@ -356,7 +356,8 @@ def system_time(v: Vehicle) -> Payload:
     return pack("SYSTEM_TIME", time_unix_usec=v.epoch_us + v.now_ms * 1000, time_boot_ms=v.now_ms)
 
 
-def home_position(v: Vehicle) -> Payload | None:
+def home_position(v: Vehicle, q: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)) -> Payload | None:
+    """`q`: the ground's attitude that the autopilot tells."""
     home = v.commander.home
     if home is None:
         return None
@@ -369,7 +370,7 @@ def home_position(v: Vehicle) -> Payload | None:
         x=home[0],
         y=home[1],
         z=home[2],
-        q=[1.0, 0.0, 0.0, 0.0],
+        q=q,
         approach_x=0.0,
         approach_y=0.0,
         approach_z=0.0,

@@ -7,7 +7,7 @@ next state and what is to be done: frames for a client, texts for all, a plan to
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from sitl.link import Link
+from sitl.links.link import Link
 from sitl.plan import Item, Kind, Verdict, judge, judge_whole
 
 

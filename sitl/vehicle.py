@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.control import Controller
-from sitl.flight_model import FlightModel
+from sitl.flight.control import Controller
+from sitl.flight.flight_model import FlightModel
+from sitl.flight.physics import Body
+from sitl.flight.reference import Vec3, vector
+from sitl.flight.sensors import measured
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Commander, Personality
-from sitl.physics import Body
-from sitl.reference import Vec3, vector
-from sitl.sensors import measured
 from sitl.transfer import Exchange
 
 

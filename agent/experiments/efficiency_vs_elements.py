@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 
 from agent.experiments.intervals import Interval, mean_interval
-from agent.experiments.snapshots import generator, snapshots
+from agent.experiments.snapshots import snapshots
 from rf_model.channels import Channels
 from rf_model.reference.solve import Solution, closed_form, solve
 from rf_model.scenario import Scenario, preset
+from rf_model.seeding import generator_of
 from rf_model.world import slot_power, slot_rates
 
 Method = Literal["closed_form", "sum_rate", "harmonic"]
@@ -75,7 +76,7 @@ def best(sizes: list[Size], seed: int) -> list[Best]:
         of_method = [size for size in sizes if size.method == method]
         rates = torch.stack([size.sum_rates_bps for size in of_method])
         worlds = rates.shape[-1]
-        drawn = torch.randint(worlds, (RESAMPLES, worlds), generator=generator(seed, _BOOTSTRAP))
+        drawn = torch.randint(worlds, (RESAMPLES, worlds), generator=generator_of(seed, _BOOTSTRAP))
         resampled = rates[:, drawn].mean(-1)
         for speed in SPEEDS_MPS:
             power = torch.tensor([power_w(size.elements, speed) for size in of_method], dtype=torch.float64)

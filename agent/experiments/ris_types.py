@@ -1,38 +1,23 @@
 """The four surfaces in the same worlds under the model-based reference (paper fig. "RIS type vs efficiency")."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
-import torch
 from torch import Tensor
 
-from agent.experiments.snapshots import generator
-from rf_model.channels import Channels, draw_fading, faded_channels
-from rf_model.geometry import panel_frame
-from rf_model.mobility import initial_users, move_users
 from rf_model.reference.elements import SurfaceKind
-from rf_model.reference.position import greedy_move
+from rf_model.reference.episode import Flight, Position, fly
 from rf_model.reference.solve import Objective, closed_form, solve
 from rf_model.reward import reward
 from rf_model.scenario import preset
-from rf_model.world import slot_power, slot_rates
+from rf_model.seeding import generator_of
+from rf_model.world import slot_rates
 
-Position = Literal["hovering", "greedy"]
 POSITIONS: tuple[Position, ...] = get_args(Position)
 SURFACES: tuple[SurfaceKind, ...] = get_args(SurfaceKind)
 SCENARIO = "prototype_s4"
 ITERATIONS = (None, 0, 1, 3, 10, 40)
 """None: the closed form."""
-
-
-@dataclass(frozen=True)
-class Flight:
-    """E episodes of T slots, flown without regard to the surface: the same for all of them."""
-
-    channels: Channels
-    """[T, E]"""
-    power_w: Tensor
-    """[T, E]"""
 
 
 @dataclass(frozen=True)
@@ -72,31 +57,8 @@ def outcomes(episodes: int, seed: int) -> list[Outcome]:
 
 
 def flight(position: Position, episodes: int, seed: int) -> Flight:
-    """Fly episodes of `SCENARIO`; the greedy mover knows large-scale gains only, whatever the surface's type."""
-    scenario = preset(SCENARIO)
-    draws = generator(seed, 0)
-    yaw = torch.full((episodes,), scenario.panel_heading_rad, dtype=torch.float64)
-    place = torch.tensor(scenario.start_enu, dtype=torch.float64).expand(episodes, 3)
-    users = initial_users(scenario, (episodes,), draws, torch.float64)
-    slots, powers = [], []
-    for slot in range(scenario.slots):
-        fading = draw_fading(scenario, (episodes,), draws, torch.float64)
-        slots.append(faded_channels(scenario, place, panel_frame(yaw), users.position_enu, fading))
-        move = torch.zeros_like(place)
-        if position == "greedy":
-            move = greedy_move(scenario, place, yaw, users.position_enu, slot)
-        powers.append(slot_power(scenario, move / scenario.slot_s, yaw))
-        place = place + move
-        users = move_users(scenario, users, draws)
-    return Flight(
-        Channels(
-            direct=torch.stack([channels.direct for channels in slots]),
-            bs_ris=torch.stack([channels.bs_ris for channels in slots]),
-            ris_user=torch.stack([channels.ris_user for channels in slots]),
-            transmission=torch.stack([channels.transmission for channels in slots]),
-        ),
-        torch.stack(powers),
-    )
+    """Fly episodes of `SCENARIO`: the same for all surfaces, since the greedy mover knows large-scale gains only."""
+    return fly(preset(SCENARIO), position, episodes, generator_of(seed, 0))
 
 
 def outcome(
@@ -104,11 +66,9 @@ def outcome(
 ) -> Outcome:
     """Optimise every slot of a flight for a surface; `iterations` None: the closed form."""
     scenario = preset(SCENARIO, surface=surface)
-    channels = flown.channels
-    solution = (
-        closed_form(scenario, channels) if iterations is None else solve(scenario, channels, iterations, objective)
-    )
-    rates = slot_rates(scenario, channels, solution.trc, solution.beamforming)
+    known = flown.known
+    solution = closed_form(scenario, known) if iterations is None else solve(scenario, known, iterations, objective)
+    rates = slot_rates(scenario, flown.rated, solution.trc, solution.beamforming)
     return Outcome(
         surface=surface,
         position=position,

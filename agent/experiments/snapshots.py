@@ -2,21 +2,15 @@
 
 from dataclasses import replace
 
-import numpy as np
 import torch
 
 from rf_model.channels import Channels, draw_fading, faded_channels
 from rf_model.geometry import panel_frame
 from rf_model.mobility import initial_users
 from rf_model.scenario import Scenario
+from rf_model.seeding import generator_of
 
 _USERS, _SIGHTS, _FADING = 0, 1, 2
-
-
-def generator(seed: int, stream: int) -> torch.Generator:
-    """One of a seed's independent random streams."""
-    state = np.random.SeedSequence((seed, stream)).generate_state(1, np.uint64)
-    return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
 
 
 def snapshots(scenario: Scenario, worlds: int, seed: int) -> Channels:
@@ -26,9 +20,9 @@ def snapshots(scenario: Scenario, worlds: int, seed: int) -> Channels:
     """
     position = torch.tensor(scenario.start_enu, dtype=torch.float64).expand(worlds, 3)
     yaw = torch.full((worlds,), scenario.panel_heading_rad, dtype=torch.float64)
-    users = initial_users(scenario, (worlds,), generator(seed, _USERS), torch.float64)
-    fading = draw_fading(scenario, (worlds,), generator(seed, _FADING), torch.float64)
+    users = initial_users(scenario, (worlds,), generator_of(seed, _USERS), torch.float64)
+    fading = draw_fading(scenario, (worlds,), generator_of(seed, _FADING), torch.float64)
     if fading.user_sight is not None:
-        sights = torch.rand(fading.user_sight.shape, generator=generator(seed, _SIGHTS), dtype=torch.float64)
+        sights = torch.rand(fading.user_sight.shape, generator=generator_of(seed, _SIGHTS), dtype=torch.float64)
         fading = replace(fading, user_sight=sights)
     return faded_channels(scenario, position, panel_frame(yaw), users.position_enu, fading)

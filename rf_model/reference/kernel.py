@@ -54,18 +54,18 @@ class Slot(NamedTuple):
     """Rates count as at least this in the harmonic mean [nat]."""
 
 
-_REORDER = {"contract", "reassoc", "nsz", "arcp"}
-"""Sums may be reordered and products fused; NaN and infinity keep their meaning."""
-
-
 def _compiled(function: F) -> F:
-    """Machine code, cached on disk, that runs without the interpreter lock."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_REORDER)(function))
+    """Machine code, cached on disk, that runs without the interpreter lock.
+
+    Without `fastmath`: where sums may be reordered, the code of the process that compiles gives other last digits than
+    the same code loaded from disk, and a replay would not be the flight's, bit for bit.
+    """
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def _parallel(function: F) -> F:
     """The same with `numba.prange` spread over numba's threads."""
-    compile_parallel = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_REORDER, parallel=True)
+    compile_parallel = numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
     return cast(F, compile_parallel(function))
 
 

@@ -52,12 +52,12 @@ class Solution:
         return Trc(torch.angle(larger), split, sign)
 
 
-def closed_form(scenario: Scenario, channels: Channels, elements: Tensor | None = None) -> Solution:
+def closed_form(scenario: Scenario, channels: Channels) -> Solution:
     """Regularised zero forcing with coefficients that align the strongest mode of H with each side's users.
 
     Arguments and errors are those of `solve`; `utility_bps` [..., 1] is harmonic.
     """
-    return _solve(scenario, channels, -1, "harmonic", elements, None, None)
+    return _solve(scenario, channels, -1, "harmonic", None, None)
 
 
 def solve(
@@ -66,7 +66,6 @@ def solve(
     iterations: int,
     objective: Objective = "harmonic",
     *,
-    elements: Tensor | None = None,
     coefficients: tuple[Tensor, Tensor] | None = None,
     beamforming: Tensor | None = None,
 ) -> Solution:
@@ -74,18 +73,17 @@ def solve(
 
     A strong local optimiser, nothing more: what it reaches is a reference for comparison. It takes SINR by powers
     (`sinr: power`) and, of the scenario, the surface, power limit, noise and bandwidth; sizes come from the channels,
-    which may also hold NumPy arrays. `elements` int64 [N] says what each can do (`Element`), in place of the
-    scenario's surface. Phases are continuous whatever `phase_bits`; `quantised` rounds a solution.
+    which may also hold NumPy arrays. Phases are continuous whatever `phase_bits`; `quantised` rounds a solution.
 
     The search starts at the closed form, or at `coefficients` (phi_R, phi_T), complex [..., N], moved to the nearest
-    that the elements can do; with those, `beamforming` [..., M, J] may be given too and is where the beams start.
+    that the surface can do; with those, `beamforming` [..., M, J] may be given too and is where the beams start.
 
     One row is solved on the calling thread without the interpreter lock, more by numba's threads; no row depends on
     another. Raises ReferenceInputError, and BeamformingError for beams that break the power limit.
     """
     if iterations < 0:
         raise ReferenceInputError(f"iterations: {iterations} is not allowed: must be 0 or more")
-    return _solve(scenario, channels, iterations, objective, elements, coefficients, beamforming)
+    return _solve(scenario, channels, iterations, objective, coefficients, beamforming)
 
 
 def quantised(
@@ -102,7 +100,7 @@ def quantised(
     rounded = replace(trc, theta_reflection=torch.round(trc.theta_reflection / step) * step)
     if isinstance(rounded, IndependentTrc):
         rounded = replace(rounded, theta_transmission=torch.round(rounded.theta_transmission / step) * step)
-    return _solve(scenario, channels, 0, objective, None, rounded.coefficients(), None)
+    return _solve(scenario, channels, 0, objective, rounded.coefficients(), None)
 
 
 def _solve(
@@ -110,7 +108,6 @@ def _solve(
     channels: Channels,
     iterations: int,
     objective: Objective,
-    elements: Tensor | None,
     coefficients: tuple[Tensor, Tensor] | None,
     beamforming: Tensor | None,
 ) -> Solution:
@@ -133,7 +130,7 @@ def _solve(
             raise ReferenceInputError(f"{name}: not finite")
     rows = len(h_b)
     side = transmission.reshape(rows, J).cpu().numpy().astype(np.int64)
-    element = elements_of(scenario.surface, N).numpy() if elements is None else _elements(elements, N)
+    element = elements_of(scenario.surface, N).numpy()
 
     phi, beams = np.zeros((rows, 2, N), np.complex128), np.zeros((rows, J, M), np.complex128)
     start = kernel.FROM_CLOSED_FORM
@@ -199,13 +196,3 @@ def _rows(values: Tensor, *shape: int) -> NDArray[np.complex128]:
     return np.ascontiguousarray(
         values.detach().reshape(math.prod(values.shape[: -len(shape)]), *shape).cpu().numpy(), dtype=np.complex128
     )
-
-
-def _elements(elements: Tensor, count: int) -> NDArray[np.int64]:
-    codes = torch.as_tensor(elements).cpu().numpy().astype(np.int64)
-    if codes.shape != (count,):
-        raise ReferenceInputError(f"elements: shape {list(codes.shape)}, must be {[count]}")
-    known = [int(element) for element in Element]
-    if not np.isin(codes, known).all():
-        raise ReferenceInputError(f"elements: {codes[~np.isin(codes, known)][0]} is not one of {known}")
-    return codes

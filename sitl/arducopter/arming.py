@@ -1,6 +1,15 @@
-"""ArduCopter's way from power-on until it may arm, as recorded; all on vehicle time."""
+"""ArduCopter's way from power-on until it may arm, as recorded, and its arming checks; all on vehicle time."""
 
+from sitl.arducopter.fence import FenceOfParameters
+from sitl.arducopter.modes import ARMABLE, Mode
+from sitl.flight.battery import Battery
+from sitl.flight.flight_model import FlightModel
+from sitl.flight.reference import Vec3, vector
+from sitl.parameters import Parameters
 from sitl.personality import INFO, Timeline
+
+ALLOW_ARMING = 1
+"""AUTO_OPTIONS: AUTO may be armed in."""
 
 READY_MS = 2450
 """Initialised: telemetry runs, modes are kept."""
@@ -59,3 +68,34 @@ def failing(now_ms: int) -> tuple[str, ...]:
 def texts_between(before_ms: int, now_ms: int) -> list[str]:
     """What is said in (before, now]."""
     return [text for at_ms, text in TEXTS if before_ms < at_ms <= now_ms]
+
+
+class ArmingChecks:
+    """What is looked at before the motors may start."""
+
+    def __init__(self, p: Parameters, model: FlightModel, battery: Battery, fence: FenceOfParameters) -> None:
+        self._p = p
+        self._model = model
+        self._battery = battery
+        self._fence = fence
+
+    def why_not(self, mode: Mode, home: Vec3 | None, now_ms: int) -> tuple[str, ...]:
+        """The arming checks that fail now."""
+        if self._p["ARMING_CHECK"]:
+            reasons = failing(now_ms)
+            if reasons:
+                return reasons
+            if not self._model.estimator.valid:
+                return ("Need Position Estimate",)
+            if self._model.wrecked:
+                return ("Vehicle has crashed",)
+            if self._battery.level >= 2 or self._battery.voltage < self._p["BATT_ARM_VOLT"]:
+                return ("Battery 1 below minimum arming voltage",)
+            if home is not None and self._fence.now().breach(vector(self._model.body.position), home):
+                return ("Vehicle breaching Fence",)
+        elif now_ms < READY_MS:
+            return ("System not initialised",)
+        in_auto = mode is Mode.AUTO and int(self._p["AUTO_OPTIONS"]) & ALLOW_ARMING
+        if mode not in ARMABLE and not in_auto:
+            return (f"{mode.name} mode not armable",)
+        return ()

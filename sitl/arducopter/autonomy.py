@@ -8,10 +8,11 @@ from dataclasses import replace
 
 from sitl.arducopter.shaper import Motion, Shape, eased_speed, held_back, limited, shaped, square_root
 from sitl.arducopter.vehicle_setup import limits, shape
-from sitl.control import Setpoint
+from sitl.flight.control import Setpoint
+from sitl.flight.physics import Body, heading
+from sitl.flight.reference import Limits, Reference, Vec3, approach, follow, stopping_point, turned, vector
+from sitl.landing import Landing
 from sitl.parameters import Parameters
-from sitl.physics import Body, heading
-from sitl.reference import Limits, Reference, Vec3, approach, follow, stopping_point, turned, vector
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
@@ -97,8 +98,8 @@ class Takeoff:
     """Straight up to a height, then hold there."""
 
     landing = False
-    CLOSE_M = 0.03
-    """So near to its height it is done; recorded at 9.98 of 10 m."""
+    SLOW = 0.1
+    """Share of the climb rate below which it ends, from where the height is reached anyhow (_AutoTakeoff::run)."""
 
     def __init__(self, body: Body, p: Parameters, target_down: float) -> None:
         self._limits = limits(p)
@@ -113,7 +114,11 @@ class Takeoff:
             self._reference = Reference(self._start, (0.0, 0.0, -0.3))  # enough to leave the ground
         else:
             self._reference = approach(self._reference, self.target, vector(body.position), self._limits, dt)
-        self.done = self.done or body.position[2] <= self.target[2] + self.CLOSE_M
+        slow = self.SLOW * self._limits.speed_up
+        near = 0.5 * slow * slow / self._limits.acceleration_z
+        _, _, down = self._reference.position
+        climb = -self._reference.velocity[2]
+        self.done = self.done or (down <= self.target[2] + near and climb <= slow)
         return Setpoint(self._reference.position, self._reference.velocity, NAN3, self._yaw, NAN)
 
 
@@ -160,21 +165,15 @@ class Destination:
         self._speed = min(self._speed + self._acceleration * dt, most.speed_xy)
 
 
-class Land:
+class Land(Landing):
     """Brake and come down: at WPNAV_SPEED_DN (LAND_SPEED_HIGH), at LAND_SPEED below LAND_ALT_LOW."""
 
-    landing = True
     AHEAD_M = 0.5
     """The height asked for is no further below the vehicle, also when that stands on the ground."""
 
     def __init__(self, body: Body, p: Parameters, ground_down: float, place: tuple[float, float] | None = None) -> None:
+        super().__init__(body, limits(p), ground_down, place)
         self._p = p
-        self._limits = limits(p)
-        self._reference = Reference(vector(body.position), vector(body.velocity))
-        x, y, _ = stopping_point(self._reference, self._limits)
-        self._place = place or (x, y)
-        self._ground_down = ground_down
-        self._yaw = heading(body.attitude)
 
     def sink_rate(self, height: float) -> float:
         """[m/s] at a height [m]: a square-root controller of the height above LAND_ALT_LOW."""

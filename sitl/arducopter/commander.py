@@ -8,44 +8,34 @@ from collections.abc import Callable
 
 from sitl.arducopter import arming, failsafes, fence, guided
 from sitl.arducopter.autonomy import BlindLand, Destination, Land, Level, Return, Takeoff, Velocity
+from sitl.arducopter.ground import Ground
 from sitl.arducopter.guided import Order, understood
+from sitl.arducopter.legs import Leg
 from sitl.arducopter.missions import Pilot, manners
-from sitl.arducopter.modes import ARMABLE, Mode, base_mode, mode_of
+from sitl.arducopter.modes import Mode, base_mode, mode_of
 from sitl.arducopter.sticks import Attitude, LeanSticks, LoiterSticks, attitude_setpoint
 from sitl.arducopter.vehicle_setup import pack, shape
-from sitl.battery import Battery
-from sitl.control import Setpoint
-from sitl.flight_model import NOTHING, FlightModel
+from sitl.arducopter.watch import Watch
+from sitl.flight.battery import Battery
+from sitl.flight.control import Setpoint
+from sitl.flight.flight_model import NOTHING, FlightModel
+from sitl.flight.physics import heading
+from sitl.flight.reference import Vec3, vector
 from sitl.geofence import Breach, bent
 from sitl.mission_flight import MissionFlight
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import CRITICAL, INFO, WARNING, Landed, Result, State
-from sitl.physics import heading
 from sitl.plan import PLACES, TAKEOFF, Plans
-from sitl.reference import Vec3, vector
 from sitl.stick_input import StickInput
 from sitl.targets import AttitudeTarget, PositionTarget, Sticks
 from sitl.targets import Destination as Goal
 
-LIFT_OFF_MS = 1350
-"""From a takeoff until the motors carry: spool-up and TKOFF_SLEW_TIME, as recorded."""
-ARMING_DELAY_MS = 2000
-"""From arming until the motors may spool up (ARMING_DELAY_SEC), as recorded."""
-LANDED_S = 1.6
-"""Contact until the landing is believed, as recorded."""
-DISARM_LANDED_MS = 440
-"""From a landing in RTL or LAND until the motors stop, as recorded."""
-FENCE_CHECK_MS = 200
-EMERGENCY, NOTICE = 0, 5
 RAISED = -0.9
 """Throttle stick that is not at its bottom."""
 
-ALLOW_ARMING, ALLOW_TAKEOFF = 1, 2
-"""AUTO_OPTIONS: AUTO may be armed in, and takes off without the throttle being raised."""
-
-ByPilot = Attitude | LoiterSticks | LeanSticks
-Leg = Velocity | Level | Takeoff | Destination | Land | BlindLand | Return | MissionFlight | ByPilot
+ALLOW_TAKEOFF = 2
+"""AUTO_OPTIONS: AUTO takes off without the throttle being raised."""
 
 
 class Commander:
@@ -62,13 +52,8 @@ class Commander:
         self.battery = Battery(pack(p))
         self.plans = Plans(first=1)
         self.fence = fence.FenceOfParameters(p, self.plans, origin)
-        self.breach = Breach.NONE
-        self.breaches = 0
         self.now_ms = 0
         self.armed = False
-        self.flying = False
-        self.has_flown = False
-        self.landed = Landed.ON_GROUND
         self.mode = Mode.STABILIZE
         self.failsafe = ""
         """What is wrong: `battery`, `fence`, `gcs`, `ekf`, or nothing."""
@@ -86,20 +71,9 @@ class Commander:
         self._auto_armed = False
         """Whether AUTO may leave the ground: by MISSION_START, a raised throttle, or once flown."""
         self._mission_changes = 0
-        self._armed_ms = 0
-        self._idle_ms = 0
-        """Since when the vehicle stands armed with nothing to do."""
-        self._takeoff_ms: int | None = None
-        """When a takeoff was asked for, until it leaves the ground."""
-        self._battery_level = 0
-        self._ground_ms: int | None = None
-        """When the ground station (MAV_GCS_SYSID) was heard last."""
-        self._ground_lost = False
-        self._located_ms = 0
-        """When there was a position last."""
-        self._position_lost = False
-        self._crashed_ms: int | None = None
-        self._fence_due_ms = 0
+        self.ground = Ground(p, model)
+        self.watch = Watch(p, model, self.battery, self.fence, self.say)
+        self._checks = arming.ArmingChecks(p, model, self.battery, self.fence)
         self._pilot = Pilot(
             self._body, p, origin, home=self._ground, flying=lambda: self.flying, set_home=self.set_home
         )
@@ -119,7 +93,7 @@ class Commander:
                 self.say(f"Arm: {reason}", CRITICAL)
             return Result.FAILED
         self.armed = True
-        self._armed_ms = self._idle_ms = self.now_ms
+        self.ground.arm(self.now_ms)
         self.set_home(vector(self._body.position))
         self.say("Arming motors")
         self._enter(self.mode)
@@ -127,24 +101,7 @@ class Commander:
 
     def why_not_arm(self) -> tuple[str, ...]:
         """The arming checks that fail now."""
-        if self._p["ARMING_CHECK"]:
-            reasons = arming.failing(self.now_ms)
-            if reasons:
-                return reasons
-            if not self._model.estimator.valid:
-                return ("Need Position Estimate",)
-            if self._model.wrecked:
-                return ("Vehicle has crashed",)
-            if self.battery.level >= 2 or self.battery.voltage < self._p["BATT_ARM_VOLT"]:
-                return ("Battery 1 below minimum arming voltage",)
-            if self.home is not None and self.fence.now().breach(vector(self._body.position), self.home):
-                return ("Vehicle breaching Fence",)
-        elif self.now_ms < arming.READY_MS:
-            return ("System not initialised",)
-        in_auto = self.mode is Mode.AUTO and int(self._p["AUTO_OPTIONS"]) & ALLOW_ARMING
-        if self.mode not in ARMABLE and not in_auto:
-            return (f"{self.mode.name} mode not armable",)
-        return ()
+        return self._checks.why_not(self.mode, self.home, self.now_ms)
 
     def disarm(self, force: bool = False) -> Result:
         """Stop the motors; in the air only by force."""
@@ -165,7 +122,7 @@ class Commander:
             return Result.FAILED
         self.order = None
         self._leg = Takeoff(self._body, self._p, down)
-        self._takeoff_ms = self.now_ms
+        self.ground.take_off(self.now_ms)
         return Result.ACCEPTED
 
     def land(self) -> Result:
@@ -215,7 +172,7 @@ class Commander:
         setpoint = attitude_setpoint(target, self._p)
         if self.mode is Mode.GUIDED and setpoint is not None:
             self._order_ms = self.now_ms
-            self._takeoff_ms = None
+            self.ground.stay()
             self.order = None
             self._leg = Attitude(setpoint)
 
@@ -238,7 +195,7 @@ class Commander:
     def _follow(self, order: Order) -> None:
         """Fly an order of GUIDED."""
         self._order_ms = self.now_ms
-        self._takeoff_ms = None
+        self.ground.stay()
         if order.position is None or order.velocity is not None:
             if not isinstance(self._leg, Velocity):
                 self._leg = Velocity(self._body, self._p)
@@ -344,10 +301,7 @@ class Commander:
         self._boot()
         self._count_plans()
         if self.armed:
-            self._watch_battery()
-            self._watch_ground_station()
-            self._watch_estimator()
-            self._watch_crash()
+            self._watch_failsafes()
             self._watch_fence()
             self._watch_mission()
             self._watch_sticks()
@@ -391,7 +345,7 @@ class Commander:
             self.mode = mode
             self.news.append("HEARTBEAT")
         body, p = self._body, self._p
-        self._takeoff_ms = None
+        self.ground.stay()
         self.order = None
         if mode is Mode.LAND and not self._model.estimator.valid:
             self._leg = BlindLand(body, p, self._ground()[2])
@@ -402,7 +356,7 @@ class Commander:
         elif mode is Mode.AUTO and self.armed:
             self._mission_changes = self.plans.mission_changes
             self._leg = MissionFlight(body, self.plans, manners(p), self._pilot)
-            self._takeoff_ms = self.now_ms
+            self.ground.take_off(self.now_ms)
         elif mode in (Mode.STABILIZE, Mode.ALT_HOLD):
             self._leg = Level(body)
         else:
@@ -411,62 +365,30 @@ class Commander:
     def _stop(self) -> None:
         self.armed = False
         self._auto_armed = False
-        self.flying = False
-        self.landed = Landed.ON_GROUND
+        self.ground.stop()
         self.failsafe = ""
-        self._takeoff_ms = None
         self.say("Disarming motors")
 
     # Leaving and meeting the ground
 
-    def _taking_off(self) -> bool:
-        leg = self._leg
-        if isinstance(leg, MissionFlight):
-            return leg.taking_off
-        return isinstance(leg, Takeoff) and not leg.done
+    @property
+    def flying(self) -> bool:
+        """Whether the control law drives the motors; False on the ground and disarmed."""
+        return self.ground.flying
+
+    @property
+    def has_flown(self) -> bool:
+        """Whether it ever left the ground."""
+        return self.ground.has_flown
+
+    @property
+    def landed(self) -> Landed:
+        return self.ground.landed
 
     def _watch_ground(self) -> None:
-        contact = float(self._body.contact_s[0])
-        if not self.flying:
-            self._watch_idle()
-            if isinstance(self._leg, ByPilot) and self._leg.climbs:
-                self.flying = True
-                self._body.contact_s[0] = 0.0
-            if self._mode_waits():
-                self._takeoff_ms = self.now_ms
-            elif self._taking_off() and self._takeoff_ms is not None:
-                self._idle_ms = self.now_ms
-                if self.now_ms - max(self._takeoff_ms, self._armed_ms + ARMING_DELAY_MS) >= LIFT_OFF_MS:
-                    self._takeoff_ms = None
-                    self.flying = True
-                    self._body.contact_s[0] = 0.0
-        elif contact >= LANDED_S and (self._model.wrecked or not self._wants_up()):
-            self.flying = False
-            self.landed = Landed.ON_GROUND
-            self._idle_ms = self.now_ms
-        elif self._taking_off():
-            self.landed = Landed.TAKEOFF
-        else:
-            self.landed = Landed.LANDING if self._leg.landing else Landed.IN_AIR
-        self.has_flown = self.has_flown or (self.flying and contact == 0.0)
-
-    def _mode_waits(self) -> bool:
-        """Whether AUTO stands on the ground until MISSION_START or a raised throttle."""
-        return self.mode is Mode.AUTO and not self._auto_armed
-
-    def _wants_up(self) -> bool:
-        if isinstance(self._leg, ByPilot):
-            return self._leg.climbs
-        return float(self._controller.velocity_setpoint[2]) < -0.05
-
-    def _watch_idle(self) -> None:
-        """Stop the motors soon after a landing in RTL or LAND, else after DISARM_DELAY."""
-        idle = self.now_ms - self._idle_ms
-        came_down = self.mode in (Mode.RTL, Mode.LAND) or (
-            isinstance(self._leg, MissionFlight) and (self._leg.landing or self._leg.finished)
-        )
-        delay = self._p["DISARM_DELAY"] * 1000.0
-        if (came_down and idle >= DISARM_LANDED_MS) or (0.0 < delay <= idle):
+        """AUTO stands on the ground until MISSION_START or a raised throttle."""
+        waits = self.mode is Mode.AUTO and not self._auto_armed
+        if self.ground.watch(self._leg, self.mode, waits, self.now_ms):
             self._stop()
 
     # Failsafes and fences
@@ -487,16 +409,8 @@ class Commander:
         return bent(velocity, place, self._ground(), now, margin, gain, braking)
 
     def _watch_fence(self) -> None:
-        if self.now_ms < self._fence_due_ms:
+        if not self.watch.fence(self._ground(), self.flying, self.now_ms):
             return
-        self._fence_due_ms = self.now_ms + FENCE_CHECK_MS
-        before = self.breach
-        here = vector(self._body.position)
-        self.breach = self.fence.now().breach(here, self._ground()) if self.flying else Breach.NONE
-        if self.breach is Breach.NONE or before is not Breach.NONE:
-            return
-        self.breaches += 1
-        self.say(f"{fence.NAMES[self.breach]} fence breached", NOTICE)
         mode = fence.FLOWN.get(int(self._p["FENCE_ACTION"]))
         if mode is not None and self.mode not in (Mode.RTL, Mode.LAND):
             self.failsafe = "fence"
@@ -533,59 +447,23 @@ class Commander:
             self.sticks.give_back()
             self._enter(self.mode)
 
-    def _watch_battery(self) -> None:
-        """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
-        level = self.battery.level
-        if level <= self._battery_level:
-            return
-        self._battery_level = level
-        kind = "low" if level == 1 else "critical"
-        used = (1.0 - self.battery.remaining) * self.battery.pack.capacity_mah
-        self.say(f"Battery 1 is {kind} {self.battery.voltage:.2f}V used {used:.0f} mAh", CRITICAL)
-        self._obey("Battery", failsafes.battery(level, self._p, self._situation()))
-
     def hear_ground(self, system: int, kind: int) -> None:
         """A heartbeat; who has the id MAV_GCS_SYSID is the ground station, whatever `kind` it says."""
-        if system != int(self._p["MAV_GCS_SYSID"]):
-            return
-        self._ground_ms = self.now_ms
-        if self._ground_lost:
-            self._ground_lost = False
-            self.say("GCS Failsafe Cleared", WARNING)
+        self.watch.hear_ground(system, self.now_ms)
 
-    def _watch_ground_station(self) -> None:
-        """FS_GCS_ENABLE, FS_GCS_TIMEOUT: a ground station that was there and is silent."""
-        p = self._p
-        if self._ground_lost or self._ground_ms is None or not p["FS_GCS_ENABLE"]:
-            return
-        if self.now_ms - self._ground_ms > p["FS_GCS_TIMEOUT"] * 1000.0:
-            self._ground_lost = True
+    def _watch_failsafes(self) -> None:
+        """What has gone wrong in this tick, and what is done then: BATT_FS_*_ACT, FS_GCS_ENABLE, FS_EKF_ACTION."""
+        watch, p, now = self.watch, self._p, self.now_ms
+        level = watch.battery()
+        if level:
+            self._obey("Battery", failsafes.battery(level, p, self._situation()))
+        if watch.ground_station(now):
             self._obey("GCS", failsafes.ground_station(p, self._situation()))
-
-    def _watch_estimator(self) -> None:
-        """FS_EKF_ACTION when there has been no position for a second (FS_EKF_THRESH 0: never)."""
-        if self._model.estimator.valid:
-            if self._position_lost:
-                self.say("EKF Failsafe Cleared", CRITICAL)
-            self._located_ms, self._position_lost = self.now_ms, False
-            return
-        if self._position_lost or not self._p["FS_EKF_THRESH"]:
-            return
-        if self.now_ms - self._located_ms >= failsafes.ESTIMATOR_MS:
-            self._position_lost = True
-            self.say("EKF variance", CRITICAL)
+        if watch.estimator(now):
             if isinstance(self._leg, Land):
                 self._enter(Mode.LAND)
-            self._obey("EKF", failsafes.estimator(self._p, self._situation()))
-
-    def _watch_crash(self) -> None:
-        """FS_CRASH_CHECK: stop the motors of a vehicle that lies on its back."""
-        if not (self._model.wrecked and self._p["FS_CRASH_CHECK"]):
-            self._crashed_ms = None
-        elif self._crashed_ms is None:
-            self._crashed_ms = self.now_ms
-        elif self.now_ms - self._crashed_ms >= failsafes.CRASH_MS:
-            self.say("Crash: Disarming: AngErr=180>30, Accel=0.0<3.0", EMERGENCY)
+            self._obey("EKF", failsafes.estimator(p, self._situation()))
+        if watch.crash(now):
             self._stop()
 
     def _situation(self) -> failsafes.Situation:

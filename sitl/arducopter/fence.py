@@ -3,10 +3,8 @@
 import math
 
 from sitl.arducopter.modes import Mode
+from sitl.fence_in_force import FenceInForce
 from sitl.geofence import Breach, Fence, areas
-from sitl.origin import Origin
-from sitl.parameters import Parameters
-from sitl.plan import Plans
 
 MAX_ALT, CIRCLE, AREAS, MIN_ALT = 1, 2, 4, 8
 """FENCE_TYPE."""
@@ -17,22 +15,8 @@ FLOWN = {1: Mode.RTL, 2: Mode.LAND, 3: Mode.RTL, 4: Mode.BRAKE, 5: Mode.RTL}
 NAMES = {Breach.MAXALT: "Max Alt", Breach.MINALT: "Min Alt", Breach.BOUNDARY: "Boundary"}
 
 
-class FenceOfParameters:
-    """The fence in force, built anew only when a parameter or the uploaded fence has changed."""
-
-    def __init__(self, p: Parameters, plans: Plans, origin: Origin) -> None:
-        self._p = p
-        self._plans = plans
-        self._origin = origin
-        self._built_for: tuple[int, int] | None = None
-        self._fence = Fence()
-
-    def now(self) -> Fence:
-        state = (self._p.changes, self._plans.fence_changes)
-        if state != self._built_for:
-            self._built_for = state
-            self._fence = self._build()
-        return self._fence
+class FenceOfParameters(FenceInForce):
+    """ArduCopter's."""
 
     def _build(self) -> Fence:
         p = self._p

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from sitl.arducopter.shaper import near
-from sitl.reference import Vec3
+from sitl.flight.reference import Vec3
 from sitl.targets import PositionTarget
 
 POSITION, VELOCITY, ACCELERATION = 0x007, 0x038, 0x1C0
@@ -41,12 +41,13 @@ def understood(asked: PositionTarget, here: Vec3, heading: float) -> Order:
     """The order in a setpoint, for a vehicle `here` with a `heading` [rad].
 
     Frames 1, 7, 8, 9 are known; in 7 to 9 positions are offsets from here, in 8 and 9 vectors turn with the heading.
-    Anything else, a force, NaN or infinity in what is not ignored: stop.
+    Anything else, a force for an acceleration, NaN or infinity in what is not ignored: stop.
     """
     mask = asked.mask
     position = asked.position if not mask & POSITION else None
     velocity = asked.velocity if not mask & VELOCITY else None
-    if asked.frame not in FRAMES or mask & FORCE or (position is None and velocity is None):
+    forced = mask & FORCE and not mask & ACCELERATION  # MAVProxy's `velocity` sets the bit, and ignores accelerations
+    if asked.frame not in FRAMES or forced or (position is None and velocity is None):
         return STOP
     if not all(map(math.isfinite, (*(position or STILL), *(velocity or STILL)))):
         return STOP

@@ -1,17 +1,12 @@
 """How ArduCopter flies missions: its parameters as `Manners`, its modes as the mission's legs."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 
 from sitl.arducopter.autonomy import Land, Return, Takeoff, slew
 from sitl.arducopter.vehicle_setup import limits
 from sitl.mission_flight import Manners
-from sitl.origin import Origin
+from sitl.mission_pilot import MissionPilot
 from sitl.parameters import Parameters
-from sitl.physics import Body
-from sitl.plan import Item, place
-from sitl.reference import Vec3
 
 
 def manners(p: Parameters) -> Manners:
@@ -28,23 +23,8 @@ def manners(p: Parameters) -> Manners:
     )
 
 
-@dataclass(frozen=True)
-class Pilot:
+class Pilot(MissionPilot):
     """What a mission asks of ArduCopter."""
-
-    body: Body
-    p: Parameters
-    origin: Origin
-    home: Callable[[], Vec3]
-    flying: Callable[[], bool]
-    set_home: Callable[[Vec3], None]
-
-    @property
-    def on_ground(self) -> bool:
-        return not self.flying()
-
-    def place(self, item: Item, here: Vec3) -> Vec3:
-        return place(item, self.origin, self.home(), here)
 
     def takeoff(self, down: float) -> Takeoff:
         return Takeoff(self.body, self.p, min(down, float(self.body.position[2])))

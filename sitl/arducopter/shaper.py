@@ -7,7 +7,7 @@ velocity error, the acceleration follows it inside the jerk limit, and position 
 import math
 from dataclasses import dataclass
 
-from sitl.reference import Vec3
+from sitl.flight.reference import Vec3
 
 LAG_MAX_M = 1.0
 """The reference waits for a vehicle that is further behind: ArduPilot moves it no further into a direction in which the

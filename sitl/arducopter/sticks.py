@@ -4,9 +4,9 @@ import math
 
 from sitl.arducopter.autonomy import Velocity
 from sitl.arducopter.vehicle_setup import HOVER_THROTTLE, tilt_max
-from sitl.control import Setpoint
+from sitl.flight.control import Setpoint
+from sitl.flight.physics import GRAVITY, Body, heading
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, Body, heading
 from sitl.stick_input import StickInput, deadzone, quaternion
 from sitl.targets import AttitudeTarget
 

@@ -7,10 +7,10 @@ from sitl import telemetry as common
 from sitl.arducopter.arming import READY_MS
 from sitl.arducopter.commander import Commander
 from sitl.arducopter.modes import Mode
-from sitl.frames import Payload, pack
-from sitl.physics import GRAVITY, euler, heading
-from sitl.reference import vector
-from sitl.sensors import ACCELEROMETER, GYRO, measured
+from sitl.flight.physics import GRAVITY, euler, heading
+from sitl.flight.reference import vector
+from sitl.flight.sensors import ACCELEROMETER, GYRO, measured
+from sitl.links.frames import Payload, pack
 from sitl.telemetry import compass, int16
 from sitl.vehicle import Vehicle
 
@@ -55,24 +55,7 @@ def extended_sys_state(v: Vehicle) -> Payload:
 
 def home_position(v: Vehicle) -> Payload | None:
     """With no attitude in it."""
-    home = v.commander.home
-    if home is None:
-        return None
-    latitude, longitude = v.origin.globe(home[0], home[1])
-    return pack(
-        "HOME_POSITION",
-        latitude=round(latitude * 1e7),
-        longitude=round(longitude * 1e7),
-        altitude=round((v.origin.altitude - home[2]) * 1000.0),
-        x=home[0],
-        y=home[1],
-        z=home[2],
-        q=[NAN] * 4,
-        approach_x=0.0,
-        approach_y=0.0,
-        approach_z=0.0,
-        time_usec=v.now_ms * 1000,
-    )
+    return common.home_position(v, (NAN, NAN, NAN, NAN))
 
 
 def gps_global_origin(v: Vehicle) -> Payload | None:
@@ -388,9 +371,9 @@ def fence_status(v: Vehicle) -> Payload | None:
     c = commander(v)
     return pack(
         "FENCE_STATUS",
-        breach_status=int(bool(c.breach)),
-        breach_count=min(c.breaches, 65535),
-        breach_type=int(c.breach),
+        breach_status=int(bool(c.watch.breach)),
+        breach_count=min(c.watch.breaches, 65535),
+        breach_type=int(c.watch.breach),
         breach_time=0,
         breach_mitigation=0,
     )

@@ -3,13 +3,13 @@
 import math
 
 from sitl.arducopter.shaper import Shape
-from sitl.battery import Pack
-from sitl.control import Gains
+from sitl.flight.battery import Pack
+from sitl.flight.control import Gains
+from sitl.flight.physics import GRAVITY, Rotorcraft
+from sitl.flight.reference import Limits
+from sitl.flight.world import World, in_the_air
+from sitl.flight.world import world as own_world
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, Rotorcraft
-from sitl.reference import Limits
-from sitl.world import World, in_the_air
-from sitl.world import world as own_world
 
 MASS = 3.0
 """Of ArduPilot's default simulated frame (SIM_Frame.cpp) [kg]."""
@@ -19,8 +19,8 @@ ATTITUDE_GAIN_MAX = 10.0
 """What the rate loop can follow [1/s]."""
 DRAG, DRAG_QUADRATIC = 0.74, 0.083
 """[N/(m/s)] and [N/(m/s)2]: least squares over the recorded flight, from tilt and acceleration at 1 to 10 m/s."""
-CELLS, CELL_FULL_V, CELL_EMPTY_V = 3, 4.2, 3.3
-"""The simulated battery is 12.6 V when full (SIM_BATT_VOLTAGE)."""
+CELLS, CELL_EMPTY_V = 3, 3.3
+"""Of the simulated battery, 12.6 V when full (SIM_BATT_VOLTAGE)."""
 
 
 DEAD_RECKONING_S = 10.0
@@ -59,15 +59,33 @@ def world(p: Parameters) -> World:
 
 
 def pack(p: Parameters) -> Pack:
-    """The battery of the BATT_* parameters: low below BATT_LOW_VOLT or BATT_LOW_MAH, critical likewise."""
+    """The battery of the BATT_* parameters.
 
-    def share(volts: float, mah: float) -> float:
-        by_voltage = (volts / CELLS - CELL_EMPTY_V) / (CELL_FULL_V - CELL_EMPTY_V) if volts > 0.0 else 0.0
-        by_charge = mah / p["BATT_CAPACITY"]
-        return min(max(by_voltage, by_charge, 0.0), 1.0)
+    Low is less than BATT_LOW_MAH, or than BATT_LOW_VOLT for BATT_LOW_TIMER [s] (0: the voltage is not watched);
+    critical by BATT_CRT_* likewise.
 
-    low, critical = (share(p[f"BATT_{kind}_VOLT"], p[f"BATT_{kind}_MAH"]) for kind in ("LOW", "CRT"))
-    return Pack(CELLS, p["BATT_CAPACITY"], CELL_FULL_V, CELL_EMPTY_V, (low, critical, 0.0), p["SITL_BAT_R"])
+    SIM_BATT_VOLTAGE is that of a full one: lowered in flight it makes the battery low, as on ArduPilot's simulator.
+    """
+    full_v = max(p["SIM_BATT_VOLTAGE"] / CELLS, 0.1)
+    empty_v = min(CELL_EMPTY_V, 0.99 * full_v)
+
+    def by_charge(mah: float) -> float:
+        return min(mah / p["BATT_CAPACITY"], 1.0)
+
+    def by_voltage(volts: float) -> float:
+        watched = volts > 0.0 and p["BATT_LOW_TIMER"] > 0.0
+        return min(max((volts / CELLS - empty_v) / (full_v - empty_v), 0.0), 1.0) if watched else 0.0
+
+    return Pack(
+        cells=CELLS,
+        capacity_mah=p["BATT_CAPACITY"],
+        full_v=full_v,
+        empty_v=empty_v,
+        thresholds=(by_charge(p["BATT_LOW_MAH"]), by_charge(p["BATT_CRT_MAH"]), 0.0),
+        cell_ohm=p["SITL_BAT_R"],
+        lasting=(by_voltage(p["BATT_LOW_VOLT"]), by_voltage(p["BATT_CRT_VOLT"]), 0.0),
+        patience_s=p["BATT_LOW_TIMER"],
+    )
 
 
 def tilt_max(p: Parameters) -> float:

@@ -27,8 +27,8 @@ def conformance(
 ) -> None:
     """Fly a MAVLink quadrotor autopilot and say what of the protocol it keeps.
 
-    It arms and flies the vehicle within 60 m of where it stands, up to 20 m high: in a simulator, or with the
-    propellers off. At the end, also by Ctrl-C, the vehicle is landed and disarmed, and its parameters and plans are
+    It arms and flies the vehicle within 60 m of where it stands, up to 20 m high: in a simulator, or where
+    nobody can be hurt. At the end, also by Ctrl-C, the vehicle is landed and disarmed, and its parameters and plans are
     as they were.
 
     Exit codes: 0 nothing failed, 1 something failed, 2 bad URL or option.

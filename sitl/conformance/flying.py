@@ -17,10 +17,10 @@ POSITION_YAW, POSITION, POSITION_VELOCITY_YAW = 2552, 3576, 2496
 LOCAL_NED, BODY_NED, GLOBAL_RELATIVE = 1, 8, 6
 """MAV_FRAME."""
 
-HEIGHT_M = 10.0
+HEIGHT_M = 8.0
 """Where the checks are flown."""
 NEAR_M = 0.7
-AREA_M = 12.0
+AREA_M = 10.0
 """A check begins at most so far from where the vehicle took off."""
 SLOW_MPS = 0.3
 HEARD_S = 3.0

@@ -21,16 +21,20 @@ from sitl.conformance.wire import Logged, WireError, connect
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """SIGTERM is Ctrl-C too: the vehicle must not be left flying."""
+    """SIGTERM is Ctrl-C too, and Ctrl-C is heard even when started with it ignored (a shell's `&`, nohup).
+
+    The vehicle must not be left flying.
+    """
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def main(url: str, personality: str | None, level: int, only: list[str], json: bool, tlog: Path | None) -> int:

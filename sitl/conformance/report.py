@@ -24,8 +24,8 @@ def show(console: Console, outcomes: Sequence[Outcome], autopilot: str, wrong: S
     table.add_column("level", justify="right")
     table.add_column("check", no_wrap=True)
     table.add_column("")
-    table.add_column("seen")
-    table.add_column("clause", style="dim")
+    table.add_column("seen", overflow="fold")
+    table.add_column("clause", style="dim", overflow="fold")
     for level, name, verdict, seen, clause, _ in outcomes:
         table.add_row(str(level), name, f"[{COLOURS[verdict]}]{verdict}[/]", escaped(seen), escaped(clause))
     console.print(table)

@@ -9,10 +9,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
-from sitl.control import Setpoint
+from sitl.flight.control import Setpoint
+from sitl.flight.physics import Body, heading
+from sitl.flight.reference import Limits, Reference, Vec3, approach, eased, follow_eased, stopping_point, turned, vector
+from sitl.landing import Landing
 from sitl.parameters import Parameters
-from sitl.physics import Body, heading
-from sitl.reference import Limits, Reference, Vec3, approach, eased, follow_eased, stopping_point, turned, vector
 
 NAN = math.nan
 NAN3 = (NAN, NAN, NAN)
@@ -106,19 +107,12 @@ class Takeoff:
         return Setpoint((x, y, NAN), self._reference.velocity, NAN3, self._yaw, NAN)
 
 
-class Land:
+class Land(Landing):
     """AUTO.LAND: brake and come down; slower below MPC_LAND_ALT1, 2 and 3 above home."""
 
-    landing = True
-
     def __init__(self, body: Body, p: Parameters, ground_down: float, place: tuple[float, float] | None = None) -> None:
+        super().__init__(body, limits(p), ground_down, place)
         self._p = p
-        self._limits = limits(p)
-        self._reference = Reference(vector(body.position), vector(body.velocity))
-        x, y, _ = stopping_point(self._reference, self._limits)
-        self._place = place or (x, y)
-        self._ground_down = ground_down
-        self._yaw = heading(body.attitude)
 
     def sink_rate(self, height: float) -> float:
         """Descent speed [m/s] at a height above home [m]."""

@@ -6,20 +6,22 @@ Time is vehicle time in milliseconds since boot; nothing here waits. What is to 
 import math
 from collections.abc import Callable
 
-from sitl.battery import Battery
-from sitl.control import Setpoint
-from sitl.flight_model import NOTHING, FlightModel
+from sitl.flight.battery import Battery
+from sitl.flight.control import Setpoint
+from sitl.flight.flight_model import NOTHING, FlightModel
+from sitl.flight.physics import heading
+from sitl.flight.reference import Reference, Vec3, stopping_point, vector
 from sitl.geofence import Breach
 from sitl.mission_flight import Fly, MissionFlight
 from sitl.origin import Origin
 from sitl.parameters import Parameters
-from sitl.personality import CRITICAL, ERROR, INFO, WARNING, Landed, Result, State, Timeline
-from sitl.physics import GRAVITY, heading
+from sitl.personality import CRITICAL, ERROR, INFO, Landed, Result, State
 from sitl.plan import Plans
+from sitl.px4.arming import BOOT, ArmingChecks
 from sitl.px4.autonomy import Autonomous, Descend, Land, Loiter, Return, Takeoff
 from sitl.px4.failsafes import Action, Conditions, Failsafe, can_fly, follow
-from sitl.px4.failure_detector import FailureDetector
-from sitl.px4.fence import CHECK_MS, FenceOfParameters
+from sitl.px4.fence import FenceOfParameters
+from sitl.px4.ground import Ground
 from sitl.px4.missions import Pilot, manners
 from sitl.px4.modes import BASE_MODE, NAMES, STICK_MAIN_MODES, STICKS, Mode, custom_mode, mode_of
 from sitl.px4.offboard import OffboardStream, SetpointRefusedError, flown, flown_attitude, read_target
@@ -31,31 +33,18 @@ from sitl.px4.sticks import (
     StabilizedSticks,
 )
 from sitl.px4.vehicle_setup import pack
-from sitl.reference import Reference, Vec3, stopping_point, vector
+from sitl.px4.watch import Watch
 from sitl.stick_input import StickInput
 from sitl.targets import AttitudeTarget, Destination, PositionTarget, Sticks
 
-BOOT = Timeline(telemetry_ms=500, heartbeat_ms=1000, position_ms=2000, home_ms=2400, armable_ms=4000)
 GROUND_STATION = 6
 """MAV_TYPE_GCS."""
-DISARM_PREFLIGHT_EXTRA_S = 1.0
-"""Auto-disarm without takeoff was seen at 11 s with COM_DISARM_PRFLT = 10."""
 
 BREACHED = {
     Breach.BOUNDARY: "Geofence: approaching or outside geofence",
     Breach.MAXALT: "Geofence: exceeding maximum altitude above Home",
 }
-"""PX4's texts."""
-GROUND_NOTICED_S = 1.7
-"""From touching the ground until thrust has fallen so far that PX4 takes it for contact, as recorded."""
-LOWEST_SHARE = 0.1
-"""Of the way from the lowest thrust to the hover thrust: less is the lowest."""
-THRUST_ON_GROUND = 0.6
-"""Share of the hover thrust below which a vehicle flown by thrust is believed to stay on the ground."""
-THROTTLE_LOW = -0.9
-"""Throttle stick at its bottom."""
-LOOK_MS = 50
-"""How often is looked at what may go wrong, but for the setpoint stream and the sticks."""
+"""PX4's texts; its health checks tell them, without the tab that `say` puts behind."""
 
 
 class Commander:
@@ -64,9 +53,7 @@ class Commander:
     def __init__(self, p: Parameters, model: FlightModel, origin: Origin, say: Callable[[str, int], None]) -> None:
         """`say(text, severity)` sends a STATUSTEXT."""
         self._p = p
-        self._model = model
         self._body = model.body
-        self._controller = model.controller
         self._origin_altitude = origin.altitude
         self.battery = Battery(pack(p))
         self.stream = OffboardStream()
@@ -74,11 +61,6 @@ class Commander:
         self.news: list[str] = []
         self.plans = Plans()
         self.fence = FenceOfParameters(p, self.plans, origin)
-        self.breach = Breach.NONE
-        self.breaches = 0
-        self._fence_due_ms = 0
-        self._pushes = False
-        """Whether a thrust given from outside wants to leave the ground."""
         self._mission_changes = 0
         self._judged = (0, 0)
         self._pilot = Pilot(
@@ -93,41 +75,23 @@ class Commander:
         self._say = say
         self.now_ms = 0
         self.armed = False
-        self.flying = False
-        """Whether the control law drives the motors; False on the ground and disarmed."""
-        self.has_flown = False
-        """Whether it ever left the ground."""
-        self.landed = Landed.ON_GROUND
         self.mode = Mode.LOITER
         """What is flown now."""
         self.intended = Mode.LOITER
         """What the user asked for; a failsafe may fly something else."""
-        self.detector = FailureDetector()
         self._failsafe = Failsafe()
         self._conditions = Conditions()
         self._new_mode = False
         """Whether the user chose a mode that the failsafes have not heard of."""
-        self._look_due_ms = 0
-        self._ground_ms: int | None = None
-        """When a ground station was heard last."""
-        self._ground_lost = True
-        self._sticks_optional = True
-        """Whether there have been no sticks since arming."""
-        self._sticks_lost = False
-        self._wind_told = False
-        self._lifted_ms = 0
-        self._battery_at_arming = 0
         self.home: tuple[float, float, float] | None = None
         """NED from the local origin [m]."""
         self._home_yaw = 0.0
         self._autonomous: Autonomous = Loiter(self._body, p)
         self._mode_after_disarm = Mode.LOITER
         self._takeoff_altitude = math.nan
-        self._armed_ms = 0
-        self._landed_ms = 0
-        self._flown_since_arming = False
-        self._ramp_ms: int | None = None
-        self._battery_level = 0
+        self.ground = Ground(p, model, self.say)
+        self.watch = Watch(p, model, self.battery, self.sticks, self.fence, self.say)
+        self._checks = ArmingChecks(p, model, self.battery, self.sticks, self.stream, self.plans)
 
     # What a client can ask for
 
@@ -141,10 +105,8 @@ class Commander:
                 self.say(f"Arming denied: {reason}", CRITICAL)
                 return Result.TEMPORARILY_REJECTED
         self.armed = True
-        self._armed_ms = self.now_ms
-        self._flown_since_arming = False
-        self._battery_at_arming = self.battery.level
-        self._sticks_optional = not self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"])
+        self.ground.arm(self.now_ms)
+        self.watch.arm(self.now_ms)
         self.home = vector(self._body.position)
         self._home_yaw = heading(self._body.attitude)
         self.say(f"Armed by {by}")
@@ -153,29 +115,7 @@ class Commander:
 
     def why_not_arm(self) -> str:
         """The arming checks: what stands against arming now; empty when nothing does."""
-        p, unhealthy = self._p, "Resolve system health failures first"
-        if self.now_ms < BOOT.armable_ms or not self._model.estimator.valid or self._model.wrecked:
-            return unhealthy
-        if self.mode is Mode.OFFBOARD and not self.stream.alive(self.now_ms, p["COM_OF_LOSS_T"]):
-            return unhealthy
-        if not p["COM_ARMABLE"] or (p["COM_ARM_MIS_REQ"] and not self.plans.flyable):
-            return unhealthy
-        if p["NAV_DLL_ACT"] and self._ground_lost:
-            return "no connection to the ground control station"
-        if self.mode in STICKS and self.sticks.alive(self.now_ms, self._p["COM_RC_LOSS_T"]):
-            return self._why_not_arm_by_sticks()
-        if self.mode in (Mode.RTL, Mode.LAND, *STICKS) or (self.mode is Mode.MISSION and not self.plans.flyable):
-            return "switch to another mode first"
-        if self.battery.level >= 2 or self.battery.remaining < p["COM_ARM_BAT_MIN"]:
-            return "low battery"
-        return ""
-
-    def _why_not_arm_by_sticks(self) -> str:
-        """The throttle must not ask for a climb; where it is thrust, it must be at its bottom."""
-        throttle = self.sticks.now.throttle
-        if self.mode is Mode.STABILIZED:
-            return "high throttle" if throttle > THROTTLE_LOW else ""
-        return "throttle above center" if throttle > self._p["MPC_HOLD_DZ"] else ""
+        return self._checks.why_not(self.mode, self.watch.ground_lost, self.now_ms)
 
     def disarm(self, force: bool = False) -> Result:
         """Stop the motors; in the air only by force."""
@@ -356,19 +296,19 @@ class Commander:
         """Decide what is flown for the coming tick of dt [s]; `flying` tells whether at all."""
         if self.home is None and self.now_ms >= BOOT.home_ms:
             self.home = vector(self._body.position)
+            self.news.append("HOME_POSITION")
         self._judge_plans()
         if self.armed:
             self._watch_fence()
             self._watch(dt)
             self._watch_ground()
             self._watch_mission()
-        setpoint = self._setpoint(dt) if self.armed else NOTHING
-        if self.armed and not self.flying and self._wants_up(setpoint):
-            self._start_ramp()
-        if self.flying:
-            setpoint = self._in_ramp(setpoint)
-        self._pushes = setpoint.thrust > THRUST_ON_GROUND * self._p["MPC_THR_HOVER"]
-        return setpoint
+        else:
+            self.watch.on_ground(self.now_ms)
+        if not self.armed:
+            return NOTHING
+        setpoint = self._setpoint(dt)
+        return self.ground.leave(setpoint, self.mode, self._autonomous, self.now_ms)
 
     def _setpoint(self, dt: float) -> Setpoint:
         if self.mode is Mode.OFFBOARD:
@@ -440,94 +380,32 @@ class Commander:
 
     # Leaving and meeting the ground
 
-    def _wants_up(self, setpoint: Setpoint) -> bool:
-        """Whether a vehicle on the ground is asked to leave it."""
-        if self.now_ms - self._armed_ms < self._p["COM_SPOOLUP_TIME"] * 1000.0:
-            return False
-        if self.mode is Mode.TAKEOFF:
-            return True
-        if isinstance(self._autonomous, MissionFlight):
-            return self._autonomous.taking_off
-        if isinstance(self._autonomous, PositionSticks | AltitudeSticks):
-            return self._autonomous.climbs
-        if math.isfinite(setpoint.thrust):
-            return setpoint.thrust > THRUST_ON_GROUND * self._p["MPC_THR_HOVER"]
-        if self.mode is not Mode.OFFBOARD:
-            return False
-        climb = -setpoint.velocity[2] if math.isfinite(setpoint.velocity[2]) else 0.0
-        if math.isfinite(setpoint.position[2]):
-            climb += (float(self._body.position[2]) - setpoint.position[2]) * self._p["MPC_Z_P"]
-        elif not math.isfinite(setpoint.velocity[2]) and math.isfinite(setpoint.acceleration[2]):
-            climb = -setpoint.acceleration[2]
-        return climb > 0.05
+    @property
+    def flying(self) -> bool:
+        """Whether the control law drives the motors; False on the ground and disarmed."""
+        return self.ground.flying
 
-    def _start_ramp(self) -> None:
-        self.flying = True
-        self._ramp_ms = self.now_ms
+    @property
+    def has_flown(self) -> bool:
+        """Whether it ever left the ground."""
+        return self.ground.has_flown
 
-    def _in_ramp(self, setpoint: Setpoint) -> Setpoint:
-        """PX4's takeoff ramp: in MPC_TKO_RAMP_T the climb limit rises from where thrust is zero to its parameter."""
-        if self._ramp_ms is None:
-            return setpoint._replace(thrust_min=self._p["MPC_THR_MIN"])
-        share = (self.now_ms - self._ramp_ms) / 1000.0 / self._p["MPC_TKO_RAMP_T"]
-        if share >= 1.0:
-            self._ramp_ms = None
-            self._body.contact_s[0] = 0.0
-            return setpoint._replace(thrust_min=self._p["MPC_THR_MIN"])
-        start = -GRAVITY / self._p["MPC_Z_VEL_P_ACC"]
-        return setpoint._replace(climb_max=start + share * (self._p["MPC_Z_VEL_MAX_UP"] - start))
+    @property
+    def landed(self) -> Landed:
+        return self.ground.landed
 
     def _watch_ground(self) -> None:
-        contact = float(self._body.contact_s[0])
-        if self.flying and (contact == 0.0 or self._carried()):
-            if not self._flown_since_arming:
-                self._flown_since_arming = True
-                self.has_flown = True
-                self._lifted_ms = self.now_ms
-                self.say("Takeoff detected")
-            if self.mode is Mode.TAKEOFF or (
-                isinstance(self._autonomous, MissionFlight) and self._autonomous.taking_off
-            ):
-                self.landed = Landed.TAKEOFF
-            elif self.mode is not Mode.OFFBOARD and self._autonomous.landing:
-                self.landed = Landed.LANDING
-            else:
-                self.landed = Landed.IN_AIR
-        elif self.flying and self._ramp_ms is None and contact >= GROUND_NOTICED_S + self._p["LNDMC_TRIG_TIME"]:
-            wanted_down = float(self._controller.velocity_setpoint[2])
-            if self._model.wrecked or (not wanted_down < -0.05 and not self._pushes):
-                self.flying = False
-                self.landed = Landed.ON_GROUND
-                self._landed_ms = self.now_ms
-                self.say("Landing detected")
-        if not self.flying:
-            self._watch_idle()
-
-    def _carried(self) -> bool:
-        """Whether a takeoff's thrust is no longer the lowest: takeoff is detected before the vehicle lifts off."""
-        thrust = math.sqrt(sum(float(x) ** 2 for x in self._controller.thrust_setpoint))
-        lowest, hover = self._p["MPC_THR_MIN"], self._p["MPC_THR_HOVER"]
-        return self._ramp_ms is not None and thrust > lowest + LOWEST_SHARE * (hover - lowest)
-
-    def _watch_idle(self) -> None:
-        """Auto-disarm: after landing, or when armed without ever taking off."""
-        since_arming = (self.now_ms - self._armed_ms) / 1000.0
-        since_landing = (self.now_ms - self._landed_ms) / 1000.0
-        if self._flown_since_arming:
-            if 0.0 <= self._p["COM_DISARM_LAND"] <= since_landing:
-                self._stop("landing")
-        elif 0.0 <= self._p["COM_DISARM_PRFLT"] <= since_arming - DISARM_PREFLIGHT_EXTRA_S:
-            self._stop("auto preflight disarming")
+        why = self.ground.watch(self.mode, self._autonomous, self.now_ms)
+        if why:
+            self._stop(why)
 
     def _stop(self, why: str) -> None:
         self.armed = False
-        self.flying = False
-        self.landed = Landed.ON_GROUND
+        self.ground.stop()
+        self.watch.stop()
         self._failsafe = Failsafe()
         self._conditions = Conditions()
         self._new_mode = False
-        self._ramp_ms = None
-        self.breach = Breach.NONE
         self.say(f"Disarmed by {why}")
         self.intended = self._mode_after_disarm
         self._enter(self.intended)
@@ -550,20 +428,15 @@ class Commander:
 
     def hear_ground(self, system: int, kind: int) -> None:
         """A heartbeat; one of a ground station keeps the connection alive, whatever its system id."""
-        if kind != GROUND_STATION:
-            return
-        if self._ground_lost and self._ground_ms is not None:
-            self.say("GCS connection regained")
-        self._ground_ms = self.now_ms
-        self._ground_lost = False
+        if kind == GROUND_STATION:
+            self.watch.hear_ground(self.now_ms)
 
     def _watch(self, dt: float) -> None:
         """Look at what can go wrong, and fly what the failsafes want."""
         p, now, before = self._p, self.now_ms, self._conditions
-        moved = self._watch_sticks()
-        if now >= self._look_due_ms:
-            self._look_due_ms = now + LOOK_MS
-            self._conditions = self._look()
+        self.watch.watch_sticks(now)
+        moved = self._sticks_want_control()
+        self._conditions = self.watch.look(before, self.ground, self.stream.setpoint, now)
         offboard = self.intended is Mode.OFFBOARD
         stream_lost = offboard and not self.stream.alive(now, p["COM_OF_LOSS_T"])
         if stream_lost != self._conditions.stream_lost:
@@ -590,62 +463,10 @@ class Commander:
         elif mode is not self.mode or (action is Action.HOLD and before is not Action.HOLD):
             self._enter(mode)
 
-    def _look(self) -> Conditions:
-        """What is wrong now, but for what is looked at in every tick."""
-        p, flying = self._p, self.flying
-        self._watch_battery()
-        self._watch_ground_station()
-        since_arming = (self.now_ms - self._armed_ms) / 1000.0
-        overturned = self.detector.overturned(self._body.attitude, p, self.now_ms)
-        setpoint = self.stream.setpoint
-        return Conditions(
-            stream_lost=self._conditions.stream_lost,
-            sticks_lost=self._sticks_lost and flying,
-            ground_lost=self._ground_lost and flying,
-            battery=self._battery_level if flying else 0,
-            battery_at_arming=self._battery_at_arming,
-            breached=self.breach is not Breach.NONE,
-            position_lost=not self._model.estimator.valid,
-            overturned=overturned and not self._model.wrecked,
-            motor_failed=self.detector.motor_failed(
-                self._model.faults.motors, self._controller.commands, p, self.now_ms, flying
-            ),
-            windy=flying and self._watch_wind(),
-            overdue=flying and 0.0 < p["COM_FLT_TIME_MAX"] <= (self.now_ms - self._lifted_ms) / 1000.0,
-            just_armed=since_arming < p["COM_SPOOLUP_TIME"] + p["COM_LKDOWN_TKO"],
-            attitude_only=setpoint is not None and math.isfinite(setpoint.thrust),
-        )
-
-    def _watch_ground_station(self) -> None:
-        heard = self._ground_ms
-        lost = heard is None or self.now_ms - heard > self._p["COM_DL_LOSS_T"] * 1000.0
-        if lost and not self._ground_lost:
-            self.say("Connection to ground station lost")
-        self._ground_lost = lost
-
-    def _watch_wind(self) -> bool:
-        """Whether there is more wind than COM_WIND_MAX; COM_WIND_WARN is told, once."""
-        p = self._p
-        wind = math.hypot(float(self._body.air[0]), float(self._body.air[1]))
-        warned = self._wind_told
-        self._wind_told = 0.0 < p["COM_WIND_WARN"] < wind
-        if self._wind_told and not warned:
-            self.say(f"High wind speed detected ({wind:.1f} m/s), landing advised", WARNING)
-        return 0.0 < p["COM_WIND_MAX"] < wind
-
-    def _watch_sticks(self) -> bool:
+    def _sticks_want_control(self) -> bool:
         """Whether moved sticks want to take over from a failsafe; without one they do so here (COM_RC_OVERRIDE)."""
         p, sticks = self._p, self.sticks
         alive = sticks.alive(self.now_ms, p["COM_RC_LOSS_T"])
-        self._sticks_optional = self._sticks_optional and not alive
-        lost = not (alive or self._sticks_optional)
-        if lost and not self._sticks_lost:
-            self.say("Manual control lost", CRITICAL)
-        elif self._sticks_lost and not lost:
-            self.say("Manual control regained")
-        if lost != self._sticks_lost:
-            self._look_due_ms = self.now_ms
-        self._sticks_lost = lost
         if not (alive and self.flying and self.mode not in STICKS and sticks.moved(p["COM_RC_STICK_OV"] / 100.0)):
             return False
         if not int(p["COM_RC_OVERRIDE"]) & (2 if self.mode is Mode.OFFBOARD else 1):
@@ -658,20 +479,5 @@ class Commander:
 
     def _watch_fence(self) -> None:
         """See and tell a breach; what is done is GF_ACTION."""
-        if self.now_ms < self._fence_due_ms or self.home is None:
-            return
-        self._fence_due_ms = self.now_ms + CHECK_MS
-        before = self.breach
-        self.breach = self.fence.now().breach(vector(self._body.position), self.home) if self.flying else Breach.NONE
-        if self.breach is Breach.NONE or before is not Breach.NONE or not self._p["GF_ACTION"]:
-            return
-        self.breaches += 1
-        self._look_due_ms = self.now_ms
-        self._say(BREACHED[self.breach], CRITICAL)
-
-    def _watch_battery(self) -> None:
-        """Tell a battery below BAT_LOW_THR, BAT_CRIT_THR, BAT_EMERGEN_THR; what is done is COM_LOW_BAT_ACT."""
-        level = self.battery.level
-        if level > self._battery_level:
-            self.say(("Low battery", "Critical battery", "Emergency battery level")[level - 1], WARNING)
-        self._battery_level = level
+        if self.watch.watch_fence(self.home, self.flying, self.now_ms):
+            self._say(BREACHED[self.watch.breach], CRITICAL)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.flight.physics import euler
 from sitl.parameters import Parameters
-from sitl.physics import euler
 
 
 class FailureDetector:

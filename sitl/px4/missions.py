@@ -5,12 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sitl.mission_flight import Manners
-from sitl.origin import Origin
+from sitl.mission_pilot import MissionPilot
 from sitl.parameters import Parameters
-from sitl.physics import Body
-from sitl.plan import Item, place
 from sitl.px4.autonomy import Land, Takeoff, limits
-from sitl.reference import Vec3
 
 
 def manners(p: Parameters) -> Manners:
@@ -28,24 +25,11 @@ def manners(p: Parameters) -> Manners:
 
 
 @dataclass(frozen=True)
-class Pilot:
+class Pilot(MissionPilot):
     """What a mission asks of PX4."""
 
-    body: Body
-    p: Parameters
-    origin: Origin
-    home: Callable[[], Vec3]
-    flying: Callable[[], bool]
-    set_home: Callable[[Vec3], None]
     go_home: Callable[[], object]
     """RETURN_TO_LAUNCH in a mission is a change of mode."""
-
-    @property
-    def on_ground(self) -> bool:
-        return not self.flying()
-
-    def place(self, item: Item, here: Vec3) -> Vec3:
-        return place(item, self.origin, self.home(), here)
 
     def takeoff(self, down: float) -> Takeoff:
         if math.isnan(down):

@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass
 
-from sitl.control import Setpoint
-from sitl.reference import Vec3
+from sitl.flight.control import Setpoint
+from sitl.flight.reference import Vec3
 from sitl.targets import AttitudeTarget, PositionTarget
 
 NAN = math.nan

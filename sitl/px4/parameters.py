@@ -1,7 +1,7 @@
 """PX4 parameters: the real names, types and defaults of those that act on this vehicle or that clients ask for."""
 
+from sitl.flight.world import OWN
 from sitl.parameters import INT32, REAL32, Parameter
-from sitl.world import OWN
 
 
 def _real(name: str, default: float, low: float, high: float) -> Parameter:

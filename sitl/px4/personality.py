@@ -2,13 +2,14 @@
 
 import math
 
-from sitl.frames import Payload
-from sitl.frames import pack as packed
+from sitl.flight.physics import euler
+from sitl.links.frames import Payload
+from sitl.links.frames import pack as packed
 from sitl.parameters import Parameters
 from sitl.personality import Answers, FlightMode, Missions, Personality, Result, Version
-from sitl.physics import euler
 from sitl.plan import Verdict
-from sitl.px4.commander import BOOT, Commander
+from sitl.px4.arming import BOOT
+from sitl.px4.commander import Commander
 from sitl.px4.modes import NAMES, custom_mode, mode_number
 from sitl.px4.parameters import TABLE
 from sitl.px4.streams import COMPANION_RATES_HZ, GCS_RATES_HZ

@@ -1,12 +1,13 @@
 """PX4's modes flown by sticks: position, altitude and stabilized, with the MPC_* and MC_* parameters of each."""
 
 import math
+from dataclasses import replace
 
-from sitl.control import Setpoint
+from sitl.flight.control import Setpoint
+from sitl.flight.physics import GRAVITY, Body, heading
+from sitl.flight.reference import Limits, Reference, Vec3, follow_eased, vector
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, Body, heading
 from sitl.px4.autonomy import limits
-from sitl.reference import Limits, Reference, Vec3, follow, vector
 from sitl.stick_input import StickInput, deadzone, quaternion
 
 NAN = math.nan
@@ -90,7 +91,7 @@ class PositionSticks(_Stick):
         down, sink = self._climb(body)
         yaw, yaw_rate = self._turn(body)
         here: Vec3 = vector(body.position)
-        self._reference = follow(Reference(here, self._reference.velocity), (north, east, 0.0), self._limits, dt)
+        self._reference = follow_eased(replace(self._reference, position=here), (north, east, 0.0), self._limits, dt)
         vx, vy, _ = self._reference.velocity
         if north != 0.0 or east != 0.0:
             self._place = None

@@ -2,12 +2,12 @@
 
 import math
 
-from sitl.battery import Pack
-from sitl.control import Gains
+from sitl.flight.battery import Pack
+from sitl.flight.control import Gains
+from sitl.flight.physics import GRAVITY, Rotorcraft
+from sitl.flight.world import World, in_the_air
+from sitl.flight.world import world as own_world
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, Rotorcraft
-from sitl.world import World, in_the_air
-from sitl.world import world as own_world
 
 SATELLITES_MIN = 4
 """SIM_GPS_USED below this is no fix."""

@@ -1,7 +1,7 @@
 """TIMESYNC and PING: answered at once, on vehicle time."""
 
-from sitl.frames import Message, pack
-from sitl.link import Link
+from sitl.links.frames import Message, pack
+from sitl.links.link import Link
 from sitl.vehicle import Vehicle
 
 

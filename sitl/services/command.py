@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from sitl.frames import Message
+from sitl.links.frames import Message
 
 UNSPECIFIED = (0x7FFFFFFF, 0x7FF80000)
 """COMMAND_INT.x and y that stand for NaN."""

@@ -6,8 +6,8 @@ A handler returns the result, or None where the autopilot does not answer at all
 import math
 from collections.abc import Callable
 
-from sitl.frames import Message, name_of, pack
-from sitl.link import Link
+from sitl.links.frames import Message, name_of, pack
+from sitl.links.link import Link
 from sitl.personality import Result
 from sitl.services import failure_injection, goto, modes
 from sitl.services.command import Command, from_int, from_long

@@ -5,14 +5,14 @@ What PX4's simulators can do is done here; every other unit or type is UNSUPPORT
 
 import math
 
-from sitl.link import Link
+from sitl.flight.sensors import Loss
+from sitl.links.link import Link
 from sitl.personality import CRITICAL, Result
-from sitl.sensors import Loss
 from sitl.services.command import Command
 from sitl.vehicle import Vehicle
 
 BATTERY, MOTOR = 100, 101
-LOSSES: dict[float, Loss] = {4: Loss.GPS, 104: Loss.STICKS, 105: Loss.GROUND_STATION}
+LOSSES: dict[float, Loss] = {4: Loss.GPS, 104: Loss.STICKS, 105: Loss.GCS}
 """FAILURE_UNIT."""
 OK, OFF = 0.0, 1.0
 """FAILURE_TYPE."""

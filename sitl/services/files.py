@@ -7,8 +7,8 @@ protocols. Answers depend on the request alone, so that a repeated one is answer
 import struct
 from enum import IntEnum
 
-from sitl.frames import Message, pack
-from sitl.link import Link
+from sitl.links.frames import Message, pack
+from sitl.links.link import Link
 from sitl.vehicle import Vehicle
 
 _HEADER = struct.Struct("<HBBBBBBI")

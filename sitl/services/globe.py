@@ -1,7 +1,7 @@
 """SET_GPS_GLOBAL_ORIGIN: told what the origin is. It is where the vehicle started, and stays."""
 
-from sitl.frames import Message
-from sitl.link import Link
+from sitl.links.frames import Message
+from sitl.links.link import Link
 from sitl.vehicle import Vehicle
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-from sitl.link import Link
+from sitl.links.link import Link
 from sitl.personality import Result
 from sitl.plan import AMSL_FRAMES, RELATIVE_FRAMES
 from sitl.services.command import Command

@@ -1,7 +1,7 @@
 """On-board logs: there are none. Erasing them and ending a download need no answer."""
 
-from sitl.frames import Message, pack
-from sitl.link import Link
+from sitl.links.frames import Message, pack
+from sitl.links.link import Link
 from sitl.vehicle import Vehicle
 
 

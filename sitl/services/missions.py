@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 from sitl import transfer
-from sitl.frames import Message, Payload, pack
-from sitl.link import Link
+from sitl.links.frames import Message, Payload, pack
+from sitl.links.link import Link
 from sitl.personality import CRITICAL, Result
 from sitl.plan import WAYPOINT, Item, Kind, Verdict, judge, place
 from sitl.targets import Destination

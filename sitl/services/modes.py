@@ -1,7 +1,7 @@
 """AVAILABLE_MODES: the modes of this vehicle, for ground stations that know none by heart."""
 
-from sitl.frames import pack
-from sitl.link import Link
+from sitl.links.frames import pack
+from sitl.links.link import Link
 from sitl.personality import Result
 from sitl.vehicle import Vehicle
 

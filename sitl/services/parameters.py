@@ -7,11 +7,13 @@ allowed changes nothing and is answered with the value in force.
 import math
 import struct
 
-from sitl.frames import Message, pack
-from sitl.link import Link
+from sitl.links.frames import Message, pack
+from sitl.links.link import Link
 from sitl.parameters import ParameterError, from_wire, to_wire
 from sitl.vehicle import Vehicle
 
+CAST_MARGIN = 0.01
+"""What ArduPilot adds before it casts to an integer (AP_Param::set_float)."""
 PER_TICK = 10
 """Values sent per tick while a list is under way: about PX4's 1000 per second."""
 
@@ -60,7 +62,7 @@ def param_set(v: Vehicle, link: Link, message: Message) -> None:
             raise ParameterError(f"parameter {name}: type {message.param_type} is not {parameter.mav_type}")
         value = from_wire(parameter, struct.pack("<f", message.param_value), bytewise)
         if parameter.integer and math.isfinite(value):
-            value = round(value)  # ArduPilot casts whatever comes
+            value = int(value + math.copysign(CAST_MARGIN, value))  # ArduPilot casts whatever comes
         v.parameters.set(name, value)
     except ParameterError as error:
         v.commander.say(str(error), 4)

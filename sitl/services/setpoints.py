@@ -3,10 +3,10 @@
 What is flown of them is the commander's to say.
 """
 
-from sitl.frames import Message
-from sitl.link import Link
+from sitl.flight.reference import Vec3
+from sitl.links.frames import Message
+from sitl.links.link import Link
 from sitl.plan import AMSL_FRAMES, RELATIVE_FRAMES
-from sitl.reference import Vec3
 from sitl.targets import AttitudeTarget, PositionTarget
 from sitl.vehicle import Vehicle
 

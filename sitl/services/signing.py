@@ -4,8 +4,8 @@ Taken from any link while there is no key (all are loopback), and after that onl
 which the network has checked before. Never while armed: a vehicle in flight must not lose its pilot.
 """
 
-from sitl.frames import Message
-from sitl.link import Link
+from sitl.links.frames import Message
+from sitl.links.link import Link
 from sitl.personality import WARNING
 from sitl.vehicle import Vehicle
 

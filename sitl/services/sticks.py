@@ -1,8 +1,8 @@
 """A pilot's sticks: MANUAL_CONTROL of a joystick, RC_CHANNELS_OVERRIDE of a radio."""
 
-from sitl.frames import Message
-from sitl.link import Link
-from sitl.sensors import Loss
+from sitl.flight.sensors import Loss
+from sitl.links.frames import Message
+from sitl.links.link import Link
 from sitl.targets import Sticks
 from sitl.vehicle import Vehicle
 

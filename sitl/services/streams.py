@@ -1,7 +1,7 @@
 """REQUEST_DATA_STREAM, the way ArduPilot's clients ask for telemetry."""
 
-from sitl.frames import Message
-from sitl.link import Link
+from sitl.links.frames import Message
+from sitl.links.link import Link
 from sitl.vehicle import Vehicle
 
 ALL = 0

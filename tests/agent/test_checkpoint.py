@@ -55,12 +55,22 @@ def test_a_single_observation_needs_no_batch(saved):
         ({"motion": "spherical"}, "trained with motion = cartesian, the scenario has spherical"),
         ({"state_norm": "raw"}, "trained with state_norm = link_reference, the scenario has raw"),
         ({"surface": "dual"}, "trained with surface = coupled, the scenario has dual"),
+        ({"state_extra": ["time"]}, r"trained with state_extra = \[\], the scenario has \['time'\]"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_both_sides_named(saved, changes, text):
     with pytest.raises(CheckpointError, match=text) as error:
         TrainedPolicy(saved[0], preset("physical_small", **changes))
     assert "\n" not in str(error.value)
+
+
+def test_a_checkpoint_that_names_no_state_extra_has_none(saved):
+    metadata = checkpoint.read_metadata(saved[0])
+    older = {name: value for name, value in metadata.scenario.items() if name not in ("state_extra", "surface")}
+    older = metadata.model_copy(update={"scenario": older})
+    checkpoint.require_fit(saved[0], older, SMALL)
+    with pytest.raises(CheckpointError, match="state_extra"):
+        checkpoint.require_fit(saved[0], older, preset("physical_small", state_extra=["users"]))
 
 
 def test_missing_foreign_and_broken_files_are_named_in_one_line(saved, tmp_path):

@@ -215,14 +215,15 @@ def test_with_inertia_the_power_is_the_mean_over_the_velocities_on_the_way():
             )  # the ramp may cross from descent to climb, where power has a kink
 
 
-def test_long_episodes_outlast_the_block_of_fading_that_is_drawn_at_once():
-    scenario = preset("physical_small", slots=40)
-    environment = Environment(scenario, batch=64, seed=0)
-    seen = [environment.reset()]
-    for slot in range(40):
-        seen.append(environment.step(random_raw(scenario, 64, slot)).observation)
-    direct = torch.stack(seen)[:, 0, 3:]
-    assert len(direct.unique(dim=0)) == 41
+@pytest.mark.parametrize("batch", [1, 64, 500], ids=["an episode at once", "some slots at once", "slot by slot"])
+def test_every_slot_has_fading_of_its_own_however_many_are_drawn_at_once(batch):
+    scenario = preset("physical_small", slots=40, user_speed_mps=0.0)
+    environment = Environment(scenario, batch=batch, seed=0)
+    resting = torch.zeros(batch, action_size(scenario))
+    seen = [environment.reset(), *(environment.step(resting).observation for _ in range(40))]
+    H, h_b, h_s = torch.split(torch.stack(seen)[:, 0, 3:], [2 * 16 * 4, 2 * 4 * 4, 2 * 4 * 16], dim=-1)
+    for link in (H, h_b, h_s):
+        assert len(link.unique(dim=0)) == 41
 
 
 def test_at_the_box_the_vehicle_stops_and_pays_for_what_it_moved():

@@ -28,6 +28,23 @@ def test_gymnasiums_own_check_passes_for_every_form(actions, observations):
     check_env(env.unwrapped, skip_render_check=True)
 
 
+@pytest.mark.parametrize("form", ["flat", "dict"])
+@pytest.mark.filterwarnings("ignore:.*A Box observation space .* is .*infinity")
+def test_what_is_observed_besides_has_its_parts(form):
+    scenario = preset("physical_small", state_extra=["users", "time"], slots=2)
+    env = gymnasium.make("AerialStar-v0", scenario=scenario, observation_form=form)
+    check_env(env.unwrapped, skip_render_check=True)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    observation, *_ = env.step(env.action_space.sample())
+    assert gymnasium.spaces.flatdim(env.observation_space) == state_size(scenario)
+    if form == "dict":
+        assert [*observation] == ["position", "bs_ris", "direct", "ris_user", "users", "time"]
+        assert (observation["users"].shape, observation["time"].tolist()) == ((4, 3), [1.0])
+    else:
+        assert observation[-1] == 1
+
+
 @pytest.mark.parametrize("surface", ["coupled", "independent", "dual", "conventional"])
 def test_every_surface_has_both_forms(surface):
     scenario = preset("physical_small", surface=surface)

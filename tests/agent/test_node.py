@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
 import pytest
 import torch
 import zenoh
@@ -13,14 +14,15 @@ import zenoh
 from agent import node
 from agent.daddpg import DualActorDdpg
 from agent.decoding import decode
-from agent.policies import sizes
+from agent.observation import Normalisation, observe
+from agent.policies import TrainedPolicy, sizes
 from agent.policy import PolicyConfig
 from agent.training import save_policy
 from agent.training_config import TrainingConfig
 from bus import messages as m
 from bus import topics
 from bus.session import free_endpoint, open_session
-from rf_model.channels import draw_channels
+from rf_model.channels import Channels, draw_channels
 from rf_model.mobility import initial_users
 from rf_model.scenario import Scenario, preset
 
@@ -75,14 +77,16 @@ class World:
 
 
 @contextmanager
-def flying(policy: PolicyConfig, seed: int = 0) -> Iterator[tuple[World, Callable[[], int]]]:
+def flying(
+    policy: PolicyConfig, seed: int = 0, scenario: Scenario = SMALL
+) -> Iterator[tuple[World, Callable[[], int]]]:
     """A running node and its world; the function waits for the node's end and gives its exit code."""
     endpoint = free_endpoint()
     codes: queue.Queue[int] = queue.Queue()
     with open_session(listen=endpoint) as ours, open_session(connect=[endpoint]) as its:
         world = World(ours)
         thread = threading.Thread(
-            target=lambda: codes.put(node.run(policy, SMALL, seed, VEHICLE, its, until_ended=True)), daemon=True
+            target=lambda: codes.put(node.run(policy, scenario, seed, VEHICLE, its, until_ended=True)), daemon=True
         )
         thread.start()
         world.wait_alive("agent")
@@ -113,6 +117,26 @@ def test_every_channel_state_is_answered_with_its_decoded_action(trained):
             assert action.sign == expected.sign.tolist()
             beams = torch.view_as_complex(torch.tensor(action.beamforming, dtype=torch.float64))
             assert torch.equal(beams, expected.beamforming)
+
+
+def test_a_policy_in_flight_sees_users_and_time(tmp_path):
+    """It acts as it would by the state that training gives, and otherwise at another time."""
+    scenario, config = preset("physical_small", slots=2, state_extra=["users", "time"]), TrainingConfig(hidden=(32, 16))
+    path = tmp_path / "p.safetensors"
+    save_policy(path, DualActorDdpg(sizes(scenario), config), scenario, config, {})
+    csi = channel_state(0, scenario)
+    with flying(PolicyConfig(checkpoint=str(path)), scenario=scenario) as (world, _):
+        flown = [world.ask(msgspec.structs.replace(csi, slot=slot)).raw for slot in range(2)]
+    assert flown[0] != flown[1]
+    policy = TrainedPolicy(path, scenario)
+    for slot, raw in enumerate(flown):
+        channels = Channels(
+            *(torch.view_as_complex(torch.tensor(part)) for part in (csi.direct, csi.bs_ris, csi.ris_user)),
+            transmission=torch.tensor([region == "transmission" for region in csi.regions]),
+        )
+        position, users = torch.tensor(csi.position_enu), torch.tensor(csi.users_enu)
+        state = observe(position, users, slot, channels, Normalisation.of(scenario))
+        torch.testing.assert_close(torch.tensor(raw), policy(state, slot), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["random", "hover"])

@@ -135,6 +135,26 @@ def test_a_flight_shorter_than_a_batch_is_enough(tmp_path, count):
     assert torch.isfinite(raw).all()
 
 
+def test_beyond_an_end_that_terminates_nothing_counts(tmp_path):
+    """When every slot is an episode's last, discount 1 is as good as 0, unless values go on beyond the time limit."""
+    scenario = SCENARIO.model_copy(update={"slots": 1, "state_extra": ("time",)})
+    size, generator = sizes(scenario), torch.Generator().manual_seed(0)
+    observation, following = torch.randn(2, 64, size.state, generator=generator)
+    observation[:, -1], following[:, -1] = 0, 1
+    action = torch.rand(64, size.action, generator=generator) * 2 - 1
+    rows = Transitions(*(part.numpy() for part in (observation, action, action[:, 0], following)), np.zeros(64, bool))
+
+    def learned(discount: float, time_limit: str) -> list[float]:
+        changes = {"discount": discount, "time_limit": time_limit, "clone_updates": 0, "offline_updates": 20}
+        folder = tmp_path / f"{time_limit} {discount}"
+        result = train_offline(scenario, CONFIG.model_copy(update=changes), rows, folder)
+        return TrainedPolicy(result.policy_file, scenario)(observation[0], 0)[:3].tolist()
+
+    assert learned(1.0, "terminates") == learned(0.0, "truncates") != learned(1.0, "truncates")
+    with pytest.raises(TrainingError, match="time_limit"):
+        train_offline(SCENARIO, CONFIG.model_copy(update={"time_limit": "terminates"}), rows, tmp_path / "none")
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [

@@ -12,6 +12,7 @@ from agent.training_config import TrainingConfig
 from rf_model.scenario import preset
 
 TINY = preset("physical_small", slots=4, rows=2, columns=2, users=2, antennas=2)
+TIMED = TINY.model_copy(update={"state_extra": ("time",)})
 QUICK = TrainingConfig(
     environments=8,
     episodes=48,
@@ -101,9 +102,27 @@ def test_what_cannot_be_resumed_or_started_is_said_in_one_line(tmp_path):
         train(TINY, QUICK, tmp_path / "run", resume=True)
 
 
+@pytest.mark.parametrize(("time_limit", "ended"), [("truncates", 0.0), ("terminates", 1.0)])
+def test_the_last_slot_ends_the_value_only_if_asked(time_limit, ended):
+    """With discount 1 as in the paper, an episode's value is then its reward to come."""
+    learner = Learner(TIMED, QUICK.model_copy(update={"discount": 1.0, "time_limit": time_limit}))
+    for _ in range(4):
+        learner.play()
+    kept = learner.replay.state()
+    last = kept["next_observation"][:, -1] == 1
+    assert last.float().mean() == pytest.approx(1 / TIMED.slots, abs=0.02)
+    assert kept["terminated"].tolist() == (last * ended).tolist()
+
+
+def test_a_value_that_ends_needs_the_time_in_the_state(tmp_path):
+    with pytest.raises(TrainingError, match=r"^time_limit: 'terminates' needs .*state_extra: \[time\]"):
+        train(TINY, QUICK.model_copy(update={"time_limit": "terminates"}), tmp_path / "run")
+
+
 @pytest.mark.parametrize(
     ("fields", "text"),
     [
+        ({"time_limit": "never"}, "time_limit"),
         ({"discount": 1.1}, "discount"),
         ({"actor_lr": float("nan")}, "actor_lr"),
         ({"learning_rate": 1e-3}, "learning_rate"),

@@ -65,7 +65,8 @@ def assert_same(ours, theirs):
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
 def test_a_batch_of_one_is_gymnasiums_own_vector_of_the_single_environment(mode, form):
     """Over several episodes, with all that each way of resetting puts into observations and info."""
-    kwargs = {"scenario": SHORT, "action_form": form, "observation_form": form}
+    scenario = preset("physical_small", slots=SHORT.slots, state_extra=["users", "time"])
+    kwargs = {"scenario": scenario, "action_form": form, "observation_form": form}
     envs = gymnasium.make_vec("AerialStar-v0", num_envs=1, autoreset_mode=mode, **kwargs)
     theirs = SyncVectorEnv([lambda: gymnasium.make("AerialStar-v0", **kwargs)], autoreset_mode=mode)
     assert envs.metadata["autoreset_mode"] is mode
@@ -191,8 +192,9 @@ def test_tensors_can_be_learned_from():
 @pytest.mark.parametrize("name", ["paper_literal", "physical_1km", "physical_small", "prototype_s4"])
 def test_nothing_is_made_on_another_device_than_the_worlds(name, acceleration):
     """Every tensor made without its device would land on `meta` here, and would not mix with the worlds' own."""
+    scenario = preset(name, slots=2, state_extra=["users", "time"])
     envs = gymnasium.make_vec(
-        "AerialStar-v0", num_envs=3, scenario=preset(name, slots=2), tensors=True, acceleration_mps2=acceleration
+        "AerialStar-v0", num_envs=3, scenario=scenario, tensors=True, acceleration_mps2=acceleration
     )
     actions = torch.from_numpy(actions_of(envs, 3))
     with torch.device("meta"):

@@ -12,7 +12,6 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
-from airframe.displacement import spherical
 from autopilot_bridge import flight as flight_module
 from autopilot_bridge import mavlink_vehicle
 from autopilot_bridge.clock import Lockstep
@@ -28,11 +27,14 @@ AUTO_LOITER, AUTO_RTL, AUTO_LAND = (1, 4, 3), (1, 4, 5), (1, 4, 6)
 
 
 def random_moves(seed, count, v_max):
+    """Evenly in direction and in length."""
     rng = np.random.default_rng(seed)
-    return [
-        spherical(v_max * rng.random(), float(np.arcsin(rng.uniform(-1, 1))), rng.uniform(0, 2 * np.pi))
-        for _ in range(count)
-    ]
+    moves = []
+    for _ in range(count):
+        length, sine, azimuth = v_max * rng.random(), rng.uniform(-1, 1), rng.uniform(0, 2 * math.pi)
+        across = length * math.sqrt(1 - sine**2)
+        moves.append((across * math.cos(azimuth), across * math.sin(azimuth), length * sine))
+    return moves
 
 
 def to_and_fro(opened):

@@ -143,8 +143,8 @@ def weak_sitl(foreign):
         with socket.create_connection((host, int(control_port))) as control, control.makefile("rw") as lines:
 
             def advance(seconds):
-                for _ in range(seconds):
-                    lines.write("advance 1000\n")
+                for _ in range(4 * seconds):  # no more at once than a socket holds
+                    lines.write("advance 250\n")
                     lines.flush()
                     assert lines.readline().startswith("advanced")
                     while (message := gcs.recv_msg()) is not None:

@@ -65,8 +65,9 @@ def test_without_its_bridge_the_autopilot_saves_the_vehicle(launch, short):
 
 
 def test_the_loop_outlives_its_mission_and_the_recording_is_whole_to_the_last_second(launch, short):
-    flight = launch(short | {"slots": 60})
+    flight = launch(short | {"slots": 120})
     flight.await_slot(3)
+    time.sleep(1.0)  # what is older than that must be on disk
     killed_at = time.time()
     flight.process.kill()
     flight.process.wait()
@@ -75,7 +76,7 @@ def test_the_loop_outlives_its_mission_and_the_recording_is_whole_to_the_last_se
     assert not log.complete
     assert killed_at - log.entries[-1].wall_s < 1.0
     assert len(log.messages(topics.SLOT)) >= 4
-    assert len(log.messages(topics.SLOT)) < 60, "killed before the end"
+    assert len(log.messages(topics.SLOT)) < 120, "killed before the end"
     words = (flight.run / "logs" / "bridge.log").read_text()
     assert "phase: landing" in words
     assert words.rstrip().endswith("ended: exit 0"), words

@@ -10,7 +10,7 @@ import sys
 
 import atheris
 
-import sitl.flight_model  # noqa: F401 - compiled code cannot be instrumented: imported before
+import sitl.flight.flight_model  # noqa: F401 - compiled code cannot be instrumented: imported before
 
 with atheris.instrument_imports(include=["sitl"]):
     from tests.sitl.fuzzing import HANDLED, Datagram, Said, Step, Wait, prepared

@@ -1,6 +1,7 @@
 """The report of a flight whose numbers are known."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -43,6 +44,7 @@ def test_files_and_table(run):
     console = Console(record=True, width=120)
     console.print(report.table(written))
     text = console.export_text()
+    assert re.findall(r"(\d) │ (reflection|transmission)", text) == [("0", "reflection"), ("1", "transmission")]
     for part in (
         "820",
         "20%",

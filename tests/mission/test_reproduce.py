@@ -31,7 +31,7 @@ def reproduced(request, tmp_path_factory):
     """A figure, its folder, and what was printed."""
     folder = tmp_path_factory.mktemp(request.param)
     told = io.StringIO()
-    run(request.param, folder, seed=3, episodes=2, console=Console(file=told, width=200))
+    run(request.param, folder, seed=3, episodes=2, console=Console(file=told, width=80))
     return request.param, folder, told.getvalue()
 
 
@@ -44,6 +44,7 @@ def test_every_figure_writes_a_picture_and_its_numbers_and_says_where(reproduced
     assert COLUMNS[name] <= set(found[0])
     for path in folder.iterdir():
         assert str(path) in printed
+    assert "…" not in printed  # nothing is cut off in a narrow terminal
     for row in found:
         assert all(cell != "nan" for cell in row.values())
     assert "paper" in printed

@@ -7,7 +7,7 @@ import torch
 import yaml
 
 from agent.decoding import action_size, decode
-from agent.observation import Normalisation, observe_message
+from agent.observation import Normalisation, ends, observe_message
 from bus import messages as m
 from mission import mission_file
 from mission.transitions import rebuilt
@@ -107,6 +107,7 @@ def flight(mission, beam_scale=1.0):
         {"csi_error_variance": 0.2},
         {"csi_delay_slots": 2},
         {"csi_error_variance": 0.2, "csi_delay_slots": 1, "timing": "post"},
+        {"state_extra": ["users", "time"]},
     ],
     ids=str,
 )
@@ -124,6 +125,9 @@ def test_every_slot_is_rebuilt_with_what_was_done_and_the_reward_that_was_report
             torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=0)
         if following is not None:
             assert torch.equal(row.next_observation, following.observation)
+        if mission.scenario.state_extra:
+            assert row.observation[-1] == pytest.approx(row.slot / SLOTS)
+            assert ends(row.next_observation) == (row.slot == SLOTS - 1)
 
 
 def test_an_observation_that_nobody_published_is_drawn_again_as_it_would_have_been(tmp_path):

@@ -14,6 +14,61 @@ def test_presets_are_the_four_of_the_design():
     assert list(PRESETS) == ["paper_literal", "physical_1km", "physical_small", "prototype_s4"]
 
 
+SMALL = {"rows": 4, "columns": 4, "group": 4, "ris_gain_db": 42.0, "motion": "cartesian"}
+
+
+@pytest.mark.parametrize(
+    ("name", "switches"),
+    [
+        ("physical_1km", {}),
+        ("physical_small", SMALL),
+        (
+            "paper_literal",
+            {
+                "sinr": "amplitude",
+                "noise": "density",
+                "nlos_height": "uav",
+                "ris_user": "nlos",
+                "direct_extra_db": 0.0,
+                "ris_gain_db": 0.0,
+                "array": "literal",
+                "induced": "paper",
+                "induced_velocity": "paper",
+                "climb": "signed",
+                "v_perp": "speed",
+                "p_max": "per_user",
+                "region": "fixed",
+                "timing": "post",
+                "climb_up_mps": None,
+                "climb_down_mps": None,
+                "rows": 4,
+                "columns": 4,
+            },
+        ),
+        (
+            "prototype_s4",
+            SMALL
+            | {
+                "group": 1,
+                "motion": "spherical",
+                "ris_user": "los",
+                "region": "fixed",
+                "user_centre_enu": (0.0, 50.0),
+                "user_half_angle_rad": 0.45 * math.pi,
+                "user_bounds": "none",
+                "mobility": "directional",
+                "induced_velocity": "paper",
+                "climb": "signed",
+                "climb_up_mps": None,
+                "climb_down_mps": None,
+            },
+        ),
+    ],
+)
+def test_presets_set_the_designs_switches_and_no_other(name, switches):
+    assert PRESETS[name] == Scenario(**switches)
+
+
 def test_small_twin_has_the_surface_of_the_large_one():
     small, large = PRESETS["physical_small"], PRESETS["physical_1km"]
     assert (small.elements, large.elements) == (16, 256)
@@ -116,6 +171,8 @@ def test_path_loss_overrides_one_link_and_keeps_the_others():
         ({"wind_enu": (0, 0)}, ["wind_enu.2: missing"]),
         ({"wind_enu": (0, 0, math.nan)}, ["wind_enu.2", "nan", "finite"]),
         ({"ris_mass_kg_per_m2": -1}, ["ris_mass_kg_per_m2", "-1"]),
+        ({"state_extra": ["time", "speed"]}, ["state_extra.1", "speed", "'users' or 'time'"]),
+        ({"state_extra": ["time", "time"]}, ["state_extra: time, time", "once"]),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line_that_names_it(fields, words):
@@ -135,6 +192,12 @@ def test_lists_and_whole_numbers_are_taken_for_points_and_floats():
         {"preset": "physical_small", "start_enu": [0, 1, 60], "box_enu": [[-9, 9]] * 2 + [[30, 99]]}
     )
     assert (scenario.start_enu, scenario.box_enu) == ((0.0, 1.0, 60.0), ((-9.0, 9.0), (-9.0, 9.0), (30.0, 99.0)))
+
+
+def test_what_is_observed_besides_may_be_named_in_any_order():
+    assert preset("physical_small", state_extra=["time", "users"]) == preset(
+        "physical_small", state_extra=["users", "time"]
+    )
 
 
 def test_a_preset_goes_by_its_name_alone_or_beside_the_fields_that_differ():

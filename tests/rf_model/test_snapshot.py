@@ -181,6 +181,8 @@ def test_the_example_agrees_with_the_equations_written_anew():
         assert links.ris_user[j].line_of_sight == seen[j]
     assert evaluation.noise_w == pytest.approx(NOISE_W)
     assert evaluation.transmit_power_w == pytest.approx(sum(abs(w) ** 2 for row in W for w in row))
+    longer = result(EXAMPLE | {"scenario": EXAMPLE["scenario"] | {"slot_s": 2.5}})
+    assert longer.energy_j == pytest.approx(2.5 * evaluation.power_w)
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,14 @@ import pytest
 import torch
 
 from airframe.displacement import spherical
+from airframe.power import drag_force
 from rf_model.channels import draw_channels
+from rf_model.geometry import panel_frame
 from rf_model.mobility import initial_users, move_users
 from rf_model.reward import reward
 from rf_model.scenario import preset
 from rf_model.star_ris import Trc
-from rf_model.world import slot_power, slot_rates
+from rf_model.world import slot_power, slot_rates, steady_tilt
 
 F64 = torch.float64
 
@@ -88,3 +90,13 @@ def test_the_surface_hardly_matters_when_the_paper_is_taken_literally():
 
 def test_the_surface_carries_the_traffic_in_the_physical_scenarios():
     assert best_gain("physical_small") > 100
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.8, -2.5])
+def test_a_vehicle_leans_so_that_its_thrust_holds_weight_and_drag(yaw):
+    scenario = preset("physical_1km", wind_enu=(2.0, 1.0, 0.0))
+    heading = torch.tensor(yaw, dtype=torch.float64)
+    roll, pitch = steady_tilt(scenario, torch.tensor([8.0, -5.0, 1.0], dtype=torch.float64), heading)
+    east, north = drag_force(scenario.wing, scenario.panel, 6.0, -6.0, math.cos(yaw), math.sin(yaw))
+    thrust = panel_frame(heading, roll, pitch)[2]  # the body's up axis
+    assert (thrust * (25.0 / thrust[2])).tolist() == pytest.approx([east, north, 25.0])

@@ -12,15 +12,15 @@ from contextlib import contextmanager
 from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.autopilot import Autopilot
-from sitl.link import Link
-from sitl.network import Network
+from sitl.links.link import Link
+from sitl.links.network import Network
+from sitl.links.signing import Signing
+from sitl.links.udp import UdpPort
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import Personality
 from sitl.px4.personality import PX4
 from sitl.px4.streams import COMPANION_RATES_HZ
-from sitl.signing import Signing
-from sitl.udp import UdpPort
 from tests.sitl.process import SitlProcess, free_udp_port
 
 NAN = math.nan

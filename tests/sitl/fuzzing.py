@@ -14,13 +14,13 @@ from typing import Literal
 from pymavlink.dialects.v20 import development as mavlink
 
 from sitl.autopilot import SERVICES, Autopilot
-from sitl.frames import Frame, Payload, frame, layout, split_datagram
-from sitl.link import Link
-from sitl.network import Network
+from sitl.links.frames import Frame, Payload, frame, layout, split_datagram
+from sitl.links.link import Link
+from sitl.links.network import Network
+from sitl.links.signing import Signing
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.personality import personality
-from sitl.signing import Signing
 
 HANDLED = sorted(SERVICES)
 

@@ -71,3 +71,14 @@ def sitl_process(
             process.wait()
         if process.stdout is not None:
             process.stdout.close()
+
+
+def step(sitl: SitlProcess, duration_ms: int) -> None:
+    """Move a paced vehicle on at once, by its control socket; after that it is paced again."""
+    with (
+        socket.create_connection(("127.0.0.1", sitl.control)) as connection,
+        connection.makefile("r") as answers,
+    ):
+        for line in ("hello", *[f"advance {min(1000, duration_ms - done)}" for done in range(0, duration_ms, 1000)]):
+            connection.sendall(line.encode() + b"\n")
+            assert not answers.readline().startswith("error")

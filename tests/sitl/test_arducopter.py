@@ -500,7 +500,7 @@ def test_parameters_have_real_names_types_and_defaults():
     p = Parameters(TABLE)
     assert len(p) >= 120
     for parameter in p:
-        if parameter.name.startswith("SITL_"):  # our own, of sitl/world.py
+        if parameter.name.startswith("SITL_"):  # our own, of sitl/flight/world.py
             continue
         value, mav_type = recorded[parameter.name]
         assert parameter.mav_type == mav_type, parameter.name
@@ -525,6 +525,9 @@ def test_integers_travel_as_c_casts(ready):
     ready.send(mavlink.MAVLink_param_set_message(1, 1, b"RTL_ALT", bytewise, 6))
     ready.advance(100)
     assert values(ready)[-1].param_value == 2000.0  # 3.5e-42 is cast to 0, which is out of range
+    ready.send(mavlink.MAVLink_param_set_message(1, 1, b"RTL_ALT", 2500.7, 9))
+    ready.advance(100)
+    assert values(ready)[-1].param_value == 2500.0
 
 
 @pytest.mark.parametrize(

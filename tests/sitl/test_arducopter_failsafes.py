@@ -157,6 +157,24 @@ def test_arducopters_own_simulation_parameters_act():
         assert vehicle.latest["GPS_RAW_INT"].fix_type < 2
 
 
+def test_battery_voltage_lowered_in_flight():
+    """SIM_BATT_VOLTAGE below BATT_LOW_VOLT, the usual way to test BATT_FS_LOW_ACT on ArduPilot's simulator.
+
+    It must be so for BATT_LOW_TIMER, 10 s: a shorter time is forgotten.
+    """
+    with copter(BATT_FS_LOW_ACT=2) as vehicle:
+        vehicle.take_off(8.0)
+        assert vehicle.mode == GUIDED
+        for volts, seconds in ((10.4, 9.0), (12.6, 0.5), (10.4, 9.5)):
+            vehicle.autopilot.vehicle.parameters.set("SIM_BATT_VOLTAGE", volts)
+            vehicle.fly(seconds)
+            assert vehicle.mode == GUIDED
+        vehicle.fly(1.5)
+        assert vehicle.mode == RTL
+        assert "Battery Failsafe" in vehicle.texts()
+        assert vehicle.commander.battery.voltage == pytest.approx(10.4, abs=0.1)
+
+
 def test_auto_goes_on_without_a_ground_station_where_told():
     assert AUTO == Mode.AUTO
     with copter(FS_GCS_ENABLE=5, FS_GCS_TIMEOUT=2.0) as vehicle:

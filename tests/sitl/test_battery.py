@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from airframe.power import NO_PANEL, Panel, RotaryWing, total_power
-from sitl.battery import LIPO, Battery, Pack, propulsion_power
+from sitl.flight.battery import LIPO, Battery, Pack, propulsion_power
+from sitl.flight.physics import body_at_rest
 from sitl.injection import inject
-from sitl.physics import body_at_rest
 from tests.sitl.client import direct
 
 IDEAL = Pack(4, 5000.0, 4.2, 3.3, (0.15, 0.07, 0.05))

@@ -38,7 +38,7 @@ def test_boot_timeline(vehicle):
     assert 1000 <= first_time_ms(vehicle, "HEARTBEAT") <= 1600
     assert next(m for m in vehicle.messages if m.get_type() == "HEARTBEAT").system_status == 0
     assert next(m for m in vehicle.messages if m.get_type() == "SYS_STATUS").onboard_control_sensors_present == 0
-    assert first_time_ms(vehicle, "HOME_POSITION") == pytest.approx(2400, abs=2000)
+    assert first_time_ms(vehicle, "HOME_POSITION") == pytest.approx(2400, abs=100)
     prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
     armable = first_time_ms(vehicle, "SYS_STATUS", lambda m: m.onboard_control_sensors_health & prearm)
     assert 3900 <= armable <= 4600
@@ -196,18 +196,37 @@ def test_takeoff_hold_land_and_disarm(vehicle):
 
 
 def test_takeoff_climbs_at_its_own_speed(vehicle):
-    """MPC_TKO_SPEED 1.5 m/s; MIS_TAKEOFF_ALT by the altitude asked for; recorded: 10.6 s to 9.9 m."""
+    """MPC_TKO_SPEED 1.5 m/s; MIS_TAKEOFF_ALT by the altitude asked for.
+
+    Recorded: armed at 4.13 s, asked for 9.9 m at 5.62 s, at most 1.495 m/s, there between 16.13 and 16.23 s.
+    """
     vehicle.boot()
     assert vehicle.command(ARM, 1) == ACCEPTED
+    vehicle.fly(1.4)
     asked_ms = vehicle.time_ms
     assert vehicle.command(TAKEOFF, 0, 0, 0, NAN, NAN, NAN, 489.4 + 9.9) == ACCEPTED
     fastest = 0.0
-    while vehicle.mode != LOITER or vehicle.landed != 2:
-        vehicle.advance()
+    while vehicle.landed != 2:
+        vehicle.advance(10)
         fastest = max(fastest, -vehicle.velocity[2])
         assert vehicle.time_ms < 40_000
-    assert fastest == pytest.approx(1.5, abs=0.15)
-    assert (vehicle.time_ms - asked_ms) / 1000 == pytest.approx(10.6, abs=2)
+    assert fastest == pytest.approx(1.495, abs=0.05)
+    took_s = (vehicle.time_ms - asked_ms) / 1000
+    assert took_s == pytest.approx(16.18 - 5.62, abs=0.3)  # 0.2 s late, EXTENDED_SYS_STATE at 5 Hz: docs/sitl.md
+    vehicle.fly(1.1)
+    assert vehicle.mode == LOITER
+
+
+@pytest.mark.parametrize("number", [512, ARM, 31_999])
+def test_a_command_is_acknowledged_in_the_step_in_which_it_is_read(vehicle, number):
+    """AUTOPILOT.md 2: "Latency 1 to 20 ms": taken, denied or unknown, within 1 ms of vehicle time here."""
+    vehicle.boot()
+    vehicle.receive()
+    before = len(vehicle.messages)
+    vehicle.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, 1, 0, 0, 0, 0, 0, 0))
+    vehicle.advance(1)
+    acks = [m.command for m in vehicle.messages[before:] if m.get_type() == "COMMAND_ACK"]
+    assert acks == [number]
 
 
 def test_auto_disarm_without_takeoff(vehicle):

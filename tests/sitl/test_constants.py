@@ -2,10 +2,10 @@
 
 import itertools
 
-from sitl.constants import packed, unpacked_craft, unpacked_gains
-from sitl.control import Gains
+from sitl.flight.constants import packed, unpacked_craft, unpacked_gains
+from sitl.flight.control import Gains
+from sitl.flight.physics import Rotorcraft
 from sitl.parameters import Parameters
-from sitl.physics import Rotorcraft
 from sitl.px4.personality import PX4
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sitl.control import (
+from sitl.flight.control import (
     Setpoint,
     attitude_from_thrust,
     control_attitude,
@@ -17,9 +17,9 @@ from sitl.control import (
     prioritise,
     velocity_from_position,
 )
-from sitl.flight_model import NAN3, FlightModel
+from sitl.flight.flight_model import NAN3, FlightModel
+from sitl.flight.physics import GRAVITY, body_at_rest
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, body_at_rest
 from sitl.px4.parameters import TABLE
 from sitl.px4.vehicle_setup import gains, rotorcraft
 

@@ -105,7 +105,7 @@ def test_a_command_moves_the_vehicle_it_is_for_and_no_other(three):
         second.send(mavlink.MAVLink_command_long_message(2, 1, number, 0, *p, *[0.0] * (7 - len(p))))
         second.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *p, *[0.0] * (7 - len(p))))
     three.advance(100)
-    three.advance(5000)
+    three.advance(9000)
     assert [client.armed for client in three.clients] == [False, True, False]
     assert second.position[2] < -1.0
 

@@ -1,6 +1,8 @@
 """Frames: ours read by pymavlink, and anything at all read by ours."""
 
 import math
+import struct
+import tracemalloc
 from collections import Counter
 
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
-from sitl.frames import WITHOUT_LAYOUT, frame, pack, unpack
+from sitl.links.frames import WITHOUT_LAYOUT, frame, pack, unpack
 from sitl.px4.personality import PX4
 
 
@@ -58,6 +60,21 @@ def test_garbage_is_counted_never_raised(datagram):
     bad: Counter[str] = Counter()
     messages = unpack(datagram, bad)
     assert messages or not datagram or bad.total() >= 1
+
+
+def test_message_ids_nobody_knows_fill_no_memory():
+    """There are 16 million of them: what they leave behind must not grow with what a stranger sends."""
+
+    def kept(ids: range) -> int:
+        tracemalloc.start()
+        for number in ids:
+            head = struct.pack("<BBBBBBBHB", 0xFD, 0, 0, 0, 0, 1, 1, number & 0xFFFF, number >> 16)
+            unpack(head + b"\0\0", Counter())
+        size, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return size
+
+    assert kept(range(1 << 20, (1 << 20) + 10_000)) < 100_000
 
 
 def test_garbage_on_the_link_is_counted_and_the_vehicle_flies_on(hovering):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.frames import Payload, frame, layout, split
+from sitl.links.frames import Payload, frame, layout, split
 from tests.sitl.fuzzing import HANDLED, Datagram, Said, Wait, encoded, prepared
 
 likely_bytes = st.sampled_from([b"\x00", b"\x01", b"\xff", b"\x7f\xc0\x00\x00"[::-1], b"\x80\x7f", b"\xff\xff\xff\x7f"])

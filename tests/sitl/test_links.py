@@ -5,6 +5,7 @@ import math
 import socket
 import subprocess
 import sys
+import tracemalloc
 from collections import Counter
 from collections.abc import Iterator
 
@@ -14,16 +15,16 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
 from sitl.autopilot import Autopilot
-from sitl.budget import BURST, BYTES_PER_MS, Budget
-from sitl.link import Link, PortError
-from sitl.network import Network
+from sitl.links.budget import BURST, BYTES_PER_MS, Budget
+from sitl.links.link import Link, PortError
+from sitl.links.network import Network
+from sitl.links.signing import Signing
+from sitl.links.tcp import UNSENT_MAX, TcpPort
+from sitl.links.udp import PEERS_MAX, UdpPort
 from sitl.origin import Origin
 from sitl.parameters import Parameters
 from sitl.px4.personality import PX4
 from sitl.server import Options, Server
-from sitl.signing import Signing
-from sitl.tcp import UNSENT_MAX, TcpPort
-from sitl.udp import PEERS_MAX, UdpPort
 from tests.sitl.client import Direct, lockstep
 from tests.sitl.process import free_udp_port, sitl_process
 
@@ -494,3 +495,17 @@ def test_a_real_flood_does_not_end_offboard():
             finally:
                 flooder.kill()
         assert client.ask("counters").count("over budget") >= 1
+
+
+def test_an_interval_set_without_end_fills_no_memory():
+    """A stream of half an hour that is replaced must not be kept for half an hour."""
+    link = Link("wire", {"HEARTBEAT": 1.0}, 1, Signing(), lambda raw: True)
+    tracemalloc.start()
+    for _ in range(20_000):
+        link.set_interval("ATTITUDE", 1.8e9, 0)
+    size, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert size < 200_000
+    assert link.interval_us("ATTITUDE") == 1_800_000_000
+    assert list(link.due(1000)) == ["HEARTBEAT"]
+    assert list(link.due(1_800_000)) == ["HEARTBEAT", "ATTITUDE"]

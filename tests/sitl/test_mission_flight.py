@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sitl.flight.reference import Limits, Reference
 from sitl.mission_flight import corner_speed, pass_by
 from sitl.plan import Item, Kind, Plans, place
-from sitl.reference import Limits, Reference
 from tests.sitl.plans import ORIGIN
 
 LIMITS = Limits(5.0, 3.0, 1.5, 3.0, 4.0, 3.0, 4.0)

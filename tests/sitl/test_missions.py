@@ -10,12 +10,12 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from sitl.arducopter.personality import ARDUCOPTER
 from sitl.autopilot import Autopilot
-from sitl.network import Network
+from sitl.links.network import Network
+from sitl.links.signing import Signing
 from sitl.parameters import Parameters
 from sitl.personality import Result
 from sitl.plan import Item, Kind, Verdict, judge, judge_whole
 from sitl.px4.personality import PX4
-from sitl.signing import Signing
 from tests.sitl.client import direct
 from tests.sitl.plans import (
     CHANGE_SPEED,

@@ -31,6 +31,8 @@ def test_names_types_and_defaults_are_px4s():
     ("assignment", "words"),
     [
         ("NO_SUCH=1", ["NO_SUCH", "unknown"]),
+        ("MPC_XY_VELMAX=1", ["MPC_XY_VELMAX", "nearest", "MPC_XY_VEL_MAX"]),
+        ("sih_mas=1", ["sih_mas", "nearest", "SIH_MASS"]),
         ("SIH_MASS=0", ["SIH_MASS", "0", "0.1 to 100"]),
         ("SIH_MASS=nan", ["SIH_MASS", "nan"]),
         ("SIH_MASS=heavy", ["SIH_MASS", "heavy"]),
@@ -44,6 +46,7 @@ def test_bad_assignments_name_the_parameter_and_what_is_allowed(assignment, word
     with pytest.raises(ParameterError) as error:
         p.assign(assignment)
     assert all(word in str(error.value) for word in words)
+    assert len(str(error.value)) < 120
     assert p.changes == 0
 
 

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from airframe.power import Panel, RotaryWing, drag_force
+from sitl.flight.physics import GRAVITY, body_at_rest, heading, rotate, rotate_back, step_body, turn
+from sitl.flight.physics import drag_force as air_force
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, body_at_rest, heading, rotate, rotate_back, step_body, turn
-from sitl.physics import drag_force as air_force
 from sitl.px4.parameters import TABLE
 from sitl.px4.vehicle_setup import rotorcraft
 

@@ -9,8 +9,8 @@ import pytest
 from rotorpy.vehicles.multirotor import Multirotor
 from scipy.spatial.transform import Rotation
 
+from sitl.flight.physics import GRAVITY, PITCH_SIGN, ROLL_SIGN, YAW_SIGN, Rotorcraft, body_at_rest, step_body
 from sitl.parameters import Parameters
-from sitl.physics import GRAVITY, PITCH_SIGN, ROLL_SIGN, YAW_SIGN, Rotorcraft, body_at_rest, step_body
 from sitl.px4.parameters import TABLE
 from sitl.px4.vehicle_setup import rotorcraft
 

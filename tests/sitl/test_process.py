@@ -151,6 +151,36 @@ def test_listens_on_loopback_only_and_ends_by_sigint():
         assert sitl.process.wait(10) == 0
 
 
+def test_a_signal_that_came_at_a_bad_moment_is_not_lost():
+    """One inside `except Exception` passes through, one that a destructor swallows ends the run all the same."""
+    code = """if True:
+        import os, signal, sys
+        from sitl import server
+        from sitl.cli import sitl
+        import typer
+        compile_now, moment = server.compile_now, sys.argv.pop(1)
+        class Dies:
+            def __del__(self):
+                os.kill(os.getpid(), signal.SIGTERM)
+        def interrupted(*arguments):
+            compile_now(*arguments)
+            if moment == "destructor":
+                Dies()
+            else:
+                try:
+                    os.kill(os.getpid(), signal.SIGTERM)
+                except Exception:
+                    pass
+        server.compile_now = interrupted
+        typer.run(sitl)
+    """
+    ports = ["--gcs-bind", "0", "--companion-bind", "0", "--companion-port", str(free_udp_port())]
+    for moment in ("destructor", "handler"):
+        command = [sys.executable, "-c", code, moment, *ports, "--gcs-port", str(free_udp_port())]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -162,6 +192,7 @@ def test_listens_on_loopback_only_and_ends_by_sigint():
         (["--system-id", "0"], ["--system-id"]),
         (["--system-id", "249", "--vehicles", "3"], ["--vehicles", "3 vehicles", "249", "250"]),
         (["--vehicles", "0"], ["--vehicles"]),
+        (["--companion-port", "65535", "--vehicles", "2"], ["companion", "65536", "65535"]),
         (["--signing-key", "/nowhere/key"], ["--signing-key", "/nowhere/key", "cannot be read"]),
     ],
 )

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
-from sitl.frames import SIGNED, Frame, frame, pack, split
-from sitl.signing import EPOCH_2015_US, NEW_STREAM_LATE_MAX, Signing, read_key
+from sitl.links.frames import SIGNED, Frame, frame, pack, split
+from sitl.links.signing import EPOCH_2015_US, NEW_STREAM_LATE_MAX, Signing, read_key
 from tests.sitl.client import Direct, lockstep
 from tests.sitl.process import sitl_process
 

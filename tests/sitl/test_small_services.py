@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import development as mavlink
 from pymavlink.mavutil import x25crc
 
-from sitl.frames import mavlink as dialect
+from sitl.links.frames import mavlink as dialect
 from tests.sitl.copter import GUIDED, copter
 from tests.sitl.plans import ORIGIN, TAKEOFF, WAYPOINT, item, upload
 

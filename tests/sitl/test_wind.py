@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from sitl.wind import FOOT_M, Gusts, Wind, turbulence
+from sitl.flight.wind import FOOT_M, Gusts, Wind, turbulence
 from tests.sitl.client import direct
 
 DT = 0.01

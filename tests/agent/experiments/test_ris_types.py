@@ -47,7 +47,7 @@ def test_conventional_leaves_transmission_users_with_nothing_fair_but_beats_dual
 def test_greedy_flights_earn_what_the_references_own_episodes_do():
     flown = flight("greedy", 24, 2)
     ours = outcome(flown, "coupled", "greedy", "harmonic", 10).reward
-    theirs = episode_rewards(preset(SCENARIO), 24, 2, 10)
+    theirs = episode_rewards(preset(SCENARIO), 24, 2, 10)  # in other worlds
     error = ((ours.var() + theirs.var()) / 24) ** 0.5
     assert ours.mean().item() == pytest.approx(theirs.mean().item(), abs=3 * error.item())
 

@@ -5,9 +5,9 @@ No real autopilot has these names. All are off by default, but for the noise of 
 
 from typing import NamedTuple
 
+from sitl.flight.physics import Rotorcraft
+from sitl.flight.wind import Wind
 from sitl.parameters import REAL32, Parameter, Parameters
-from sitl.physics import Rotorcraft
-from sitl.wind import Wind
 
 AIR_DENSITY = 1.225
 """[kg/m3], as in `airframe.power`."""

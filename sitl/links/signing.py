@@ -6,7 +6,7 @@ One per vehicle, for all its links. Time is vehicle time in units of 10 us since
 import hashlib
 from pathlib import Path
 
-from sitl.frames import Frame
+from sitl.links.frames import Frame
 
 EPOCH_2015_US = 1_420_070_400_000_000
 """Unix time of 2015-01-01 [us]."""

@@ -8,9 +8,9 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from sitl.frames import Frame
-from sitl.link import AUTOPILOT, Link
-from sitl.signing import RADIO_STATUS, SETUP_SIGNING, Signing
+from sitl.links.frames import Frame
+from sitl.links.link import AUTOPILOT, Link
+from sitl.links.signing import RADIO_STATUS, SETUP_SIGNING, Signing
 
 NEVER_FORWARDED = frozenset({RADIO_STATUS, SETUP_SIGNING})
 """About the link they came on; and a key must not be spread."""

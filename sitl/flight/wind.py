@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sitl.reference import Vec3
+from sitl.flight.reference import Vec3
 
 FOOT_M = 0.3048
 HEIGHT_MIN_FT, HEIGHT_MAX_FT = 10.0, 1000.0

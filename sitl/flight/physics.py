@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.compiled import compiled
+from sitl.flight.compiled import compiled
 
 GRAVITY = 9.80665
 """Standard gravity [m/s2], CONSTANTS_ONE_G in PX4."""

@@ -9,9 +9,9 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 
-from sitl.budget import PACKET_OVERHEAD, Budget
-from sitl.frames import Frame, split_datagram
-from sitl.link import Link, PortError
+from sitl.links.budget import PACKET_OVERHEAD, Budget
+from sitl.links.frames import Frame, split_datagram
+from sitl.links.link import Link, PortError
 
 Address = tuple[str, int]
 NewLink = Callable[[Callable[[bytes], bool], int], Link]
@@ -22,6 +22,7 @@ RECEIVE_BUFFER = 4 << 20
 SILENT_MS = 10_000
 """A peer that was not configured and is silent for so long is forgotten."""
 PEERS_MAX = 16
+PORT_MAX = 65535
 READS_MAX = 4096
 """Datagrams taken from one socket in one go; what is left waits, and is dropped by the kernel when it gets too much."""
 
@@ -54,7 +55,9 @@ class UdpPort:
     def __init__(
         self, name: str, bind_port: int, peer_port: int, new_link: NewLink, silent_ms: int = SILENT_MS
     ) -> None:
-        """Raises PortError when the port is taken."""
+        """Raises PortError when the port is taken, or the peer's is none."""
+        if peer_port > PORT_MAX:
+            raise PortError(f"{name} link: UDP port 127.0.0.1:{peer_port} cannot be sent to, {PORT_MAX} is the last")
         self.name = name
         self.counters: Counter[str] = Counter()
         """What came from addresses that are no peers."""

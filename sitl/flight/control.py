@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.compiled import compiled
-from sitl.physics import GRAVITY, PITCH_SIGN, ROLL_SIGN, YAW_SIGN, Body, heading, rotate
+from sitl.flight.compiled import compiled
+from sitl.flight.physics import GRAVITY, PITCH_SIGN, ROLL_SIGN, YAW_SIGN, Body, heading, rotate
 
 TORQUE_SHARE = math.sqrt(0.5)
 """A motor's share of roll and pitch after PX4's normalisation of a symmetric quad's effectiveness matrix."""

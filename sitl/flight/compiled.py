@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -28,7 +28,7 @@ def compiled(function: F) -> F:
     numba throws cached code away when the function's own file has changed; here also when the file of a function has
     that it calls, since that one's code is part of it.
     """
-    dispatcher = numba.njit(cache=True)(function)
+    dispatcher: Any = numba.njit(cache=True)(function)
     with suppress(AttributeError):  # numba's own business: without it the cache is only as good as numba's
         dispatcher._cache._cache_file._source_stamp = stamp()
     return cast(F, dispatcher)

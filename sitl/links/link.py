@@ -2,12 +2,14 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 
-from sitl.frames import SIGNED, Payload, frame
-from sitl.signing import Signing
+from sitl.links.frames import SIGNED, Payload, frame
+from sitl.links.signing import Signing
 
 INTERVAL_MIN_MS, INTERVAL_MAX_MS = 10.0, 1.8e6
+QUEUE_MAX = 256
+"""Streams that were replaced stay in the queue until they would have been due, so many at the most."""
 AUTOPILOT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 
@@ -74,7 +76,7 @@ class Link:
 
     @property
     def streaming(self) -> bool:
-        """Whether telemetry other than heartbeats is sent."""
+        """Whether telemetry other than heartbeats is sent, STATUSTEXT included (a stream like the others on PX4)."""
         return self._talks_first or self.heard
 
     def reset_streams(self, now_ms: int) -> None:
@@ -86,6 +88,9 @@ class Link:
 
     def _schedule(self, name: str, stream: Stream) -> None:
         self.streams[name] = stream
+        if len(self._queue) > QUEUE_MAX + 2 * len(self.streams):  # a client that sets one interval without end
+            self._queue = [entry for entry in self._queue if self.streams.get(entry[2]) is entry[3]]
+            heapify(self._queue)
         self._entered += 1
         heappush(self._queue, (stream.due_ms, self._entered, name, stream))
 

@@ -7,10 +7,10 @@ to a limit, and whole frames are dropped after that.
 import socket
 from collections import Counter
 
-from sitl.budget import Budget
-from sitl.frames import Frame, split
-from sitl.link import Link, PortError
-from sitl.udp import NewLink
+from sitl.links.budget import Budget
+from sitl.links.frames import Frame, split
+from sitl.links.link import Link, PortError
+from sitl.links.udp import NewLink
 
 CLIENTS_MAX = 16
 UNSENT_MAX = 1 << 18

@@ -6,20 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airframe.power import Panel
-from sitl.battery import propulsion_power
-from sitl.compiled import compiled
-from sitl.constants import packed, unpacked_craft, unpacked_gains
-from sitl.control import Controller, Gains, Setpoint, control, controller_at_rest, rest
-from sitl.physics import Body, Rotorcraft, body_at_rest, heading, step_body
-from sitl.sensors import Estimator, Faults, Loss
-from sitl.wind import Gusts
-from sitl.world import World
+from sitl.flight.battery import propulsion_power
+from sitl.flight.compiled import compiled
+from sitl.flight.constants import packed, unpacked_craft, unpacked_gains
+from sitl.flight.control import Controller, Gains, Setpoint, control, controller_at_rest, rest
+from sitl.flight.physics import Body, Rotorcraft, body_at_rest, heading, step_body
+from sitl.flight.sensors import Estimator, Faults, Loss
+from sitl.flight.wind import Gusts
+from sitl.flight.world import World
 
 STEP_MS = 4.0
 """Longest physics step [ms]: 250 Hz, PX4's SIH rate."""
 OVERTURNED = math.sin(math.radians(45.0) / 2.0) ** 2
 """sin^2 of half the tilt: what meets the ground tilted by more than 45 degrees does not fly again."""
 
+POWER_MS = 50
 STILL_AIR = World()
 WHOLE = [1.0, 1.0, 1.0, 1.0]
 NAN3 = (math.nan, math.nan, math.nan)
@@ -64,16 +65,18 @@ class FlightModel:
         self.wrecked = False
         """Whether it fell on its back; it does not fly again."""
         self._overturned = False
+        self.power_w = 0.0
+        """What flying takes [W]."""
+        self._power_due_ms = 0
         self._packed: tuple[Gains, Rotorcraft, NDArray[np.float64]] | None = None
         self._gusts = Gusts(seed)
 
-    @property
-    def power_w(self) -> float:
-        """What flying takes now [W]."""
-        return propulsion_power(self.truth, Panel(self.world.panel_area_m2, self.world.panel_drag_coefficient))
-
     def sense(self, now_ms: int) -> None:
-        """Look at what the sensors give at a time."""
+        """Look at what the sensors give at a time, and at times at the power that flying takes."""
+        if now_ms >= self._power_due_ms:
+            self._power_due_ms = now_ms + POWER_MS
+            panel = Panel(self.world.panel_area_m2, self.world.panel_drag_coefficient)
+            self.power_w = propulsion_power(self.truth, panel)
         faults, world = self.faults, self.world
         gps = world.gps_fix and not faults.lost(Loss.GPS, now_ms)
         self.estimator.step(now_ms, gps, not faults.lost(Loss.ESTIMATOR, now_ms), world.dead_reckoning_s)

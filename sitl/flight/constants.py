@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.compiled import compiled
-from sitl.control import Gains
-from sitl.physics import Rotorcraft
+from sitl.flight.compiled import compiled
+from sitl.flight.control import Gains
+from sitl.flight.physics import Rotorcraft
 
 
 def packed(gains: Gains, craft: Rotorcraft) -> NDArray[np.float64]:

@@ -93,11 +93,10 @@ WITHOUT_LAYOUT = {300: "PROTOCOL_VERSION"}
 """Messages of common.xml that pymavlink's dialects have dropped, and clients still ask for."""
 
 
-@cache
 def layout_of(message_id: int) -> Layout | None:
-    """Layout of a message by its id; None when the dialect does not know it."""
+    """Layout of a message by its id; None when the dialect does not know it (such ids, 16 million, are not kept)."""
     kind = mavlink.mavlink_map.get(message_id)
-    return None if kind is None else _layout(kind)
+    return None if kind is None else layout(kind.msgname)
 
 
 def name_of(message_id: int) -> str | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from airframe.power import NO_PANEL, Panel, RotaryWing, total_power
-from sitl.physics import Body, heading
+from sitl.flight.physics import Body, heading
 
 WING = RotaryWing()
 
@@ -40,6 +40,9 @@ class Pack:
     """Remaining share below which it is low, critical, and an emergency."""
     cell_ohm: float = 0.0
     """Internal resistance of one cell; 0: an ideal source."""
+    lasting: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The like of `thresholds`, of a charge that has been less for `patience_s`."""
+    patience_s: float = 0.0
 
     @property
     def capacity_j(self) -> float:
@@ -78,6 +81,8 @@ class Battery:
         self.used_j = 0.0
         """Energy that left the terminals."""
         self.power_w = 0.0
+        self._below_s = [0.0, 0.0, 0.0]
+        """How long it has been below each of the lasting thresholds."""
 
     @property
     def remaining(self) -> float:
@@ -99,7 +104,11 @@ class Battery:
     def level(self) -> int:
         """0 well, 1 low, 2 critical, 3 emergency."""
         remaining = self.remaining
-        return sum(remaining < threshold for threshold in self.pack.thresholds)
+        for level in (3, 2, 1):
+            below_s = self._below_s[level - 1]
+            if remaining < self.pack.thresholds[level - 1] or 0.0 < self.pack.patience_s <= below_s:
+                return level
+        return 0
 
     def leave(self, remaining: float) -> None:
         """Let so much charge be left, 0 to 1."""
@@ -113,6 +122,10 @@ class Battery:
             self.used += self.current_a * dt / (self.pack.capacity_mah * 3.6)
         else:
             self.used += power_w * dt / self.pack.capacity_j
+        if not self.pack.patience_s:
+            return
+        for i, threshold in enumerate(self.pack.lasting):
+            self._below_s[i] = self._below_s[i] + dt if self.remaining < threshold else 0.0
 
 
 def propulsion_power(body: Body, panel: Panel) -> float:

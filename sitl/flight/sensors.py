@@ -6,7 +6,7 @@ controlled by the estimate, so it really wanders by the error. Without GPS the e
 """
 
 import math
-from enum import Enum
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,14 @@ ERROR_RATE = 0.1
 """Bandwidth of the estimator's error [rad/s]: it wanders within some tens of seconds."""
 
 
-class Loss(Enum):
+class Loss(IntEnum):
     """What a vehicle can be without."""
 
-    GPS = "gps_loss"
-    GROUND_STATION = "gcs_loss"
-    """Its heartbeats are not heard."""
-    STICKS = "sticks_loss"
-    ESTIMATOR = "estimator_loss"
+    GPS = 0
+    GCS = 1
+    """A ground station's heartbeats are not heard."""
+    STICKS = 2
+    ESTIMATOR = 3
     """There is no solution: no position, no arming."""
 
 
@@ -30,7 +30,7 @@ class Faults:
     """What was injected."""
 
     def __init__(self) -> None:
-        self._until_ms = dict.fromkeys(Loss, 0.0)
+        self._until_ms = [0.0] * len(Loss)
         self.motors = [1.0, 1.0, 1.0, 1.0]
         """What is left of each motor's thrust."""
 

@@ -1,0 +1,1 @@
+"""MAVLink on the wire: frames, signing, channels over UDP and TCP, routing between them, byte budgets."""
