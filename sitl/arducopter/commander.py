@@ -305,6 +305,7 @@ class Commander:
             self._watch_fence()
             self._watch_mission()
             self._watch_sticks()
+        if self.armed:  # still: a crash or a failsafe may just have stopped the motors
             self._watch_ground()
         setpoint = NOTHING
         if self.armed:

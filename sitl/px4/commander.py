@@ -301,10 +301,11 @@ class Commander:
         if self.armed:
             self._watch_fence()
             self._watch(dt)
-            self._watch_ground()
-            self._watch_mission()
         else:
             self.watch.on_ground(self.now_ms)
+        if self.armed:  # still: a failsafe may just have stopped the motors
+            self._watch_ground()
+            self._watch_mission()
         if not self.armed:
             return NOTHING
         setpoint = self._setpoint(dt)

@@ -9,6 +9,7 @@ from sitl.arducopter.parameters import TABLE
 from sitl.injection import inject
 from sitl.parameters import Parameters
 from tests.sitl.copter import AUTO, DO_SET_MODE, GUIDED, LAND, LOITER, RTL, copter
+from tests.sitl.test_sticks import push
 
 FAILED = 4
 IN_GUIDED = Situation(Mode.GUIDED, flying=True, located=True)
@@ -142,6 +143,23 @@ def test_failed_motor_crashes_and_disarms():
         vehicle.until(lambda: not vehicle.commander.armed, 15)
         assert vehicle.autopilot.vehicle.model.wrecked
         assert any(text.startswith("Crash: Disarming") for text in vehicle.texts())
+
+
+def test_stopped_motors_do_not_fly_whatever_the_throttle_says():
+    """A crash is the end of the flight, also while the pilot asks for a climb."""
+    with copter() as vehicle:
+        vehicle.take_off(25.0)
+        assert vehicle.command(176, 1, 2) == 0  # ALT_HOLD
+
+        def climb() -> None:
+            push(vehicle, throttle=0.9)
+
+        vehicle.fly(1, climb)
+        vehicle.autopilot.vehicle.parameters.set("SIM_ENGINE_FAIL", 2)
+        vehicle.until(lambda: not vehicle.commander.armed, 20, climb)
+        vehicle.fly(1, climb)
+        assert not vehicle.commander.flying
+        assert vehicle.landed == 1
 
 
 def test_arducopters_own_simulation_parameters_act():
