@@ -26,7 +26,7 @@ from autopilot_bridge.preflight import TRACKING_HEADROOM
 from autopilot_bridge.slots import Slots
 from autopilot_bridge.tracker import follow, track
 from bus.messages import Action, FlownSlot
-from sitl.flight_model import FlightModel
+from sitl.flight.flight_model import FlightModel
 from sitl.origin import read_origin
 from sitl.parameters import Parameters
 from sitl.personality import personality
