@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+import torch
 
 from airframe.displacement import spherical
 from airframe.slot_profile import Vector
@@ -98,10 +99,10 @@ class Vehicle:
 def random_moves(seed: int, count: int, v_max: float) -> list[tuple[float, float, float]]:
     """Displacements of up to `v_max` metres."""
     rng = np.random.default_rng(seed)
-    return [
-        spherical(v_max * rng.random(), float(np.arcsin(rng.uniform(-1, 1))), rng.uniform(0, 2 * np.pi))
-        for _ in range(count)
-    ]
+    drawn = [(v_max * rng.random(), math.asin(rng.uniform(-1, 1)), rng.uniform(0, math.tau)) for _ in range(count)]
+    distance, elevation, azimuth = torch.tensor(drawn, dtype=torch.float64).T
+    moves = torch.stack(spherical(distance, elevation, azimuth), dim=-1)
+    return [(east, north, up) for east, north, up in moves.tolist()]
 
 
 def limits_of(name: str, vehicle: Vehicle) -> tuple[Limits, Limits]:

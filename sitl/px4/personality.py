@@ -20,10 +20,10 @@ from sitl.vehicle import Vehicle
 
 NAN = math.nan
 
-# SYS_STATUS bit masks while the estimator has no position, and once it has one.
-SENSORS_PRESENT = (0, 0x0300402D)
-SENSORS_ENABLED = (0, 0x0301402D)
-SENSORS_HEALTH = (0x2320883F, 0x2320C83F)
+# SYS_STATUS bit masks as recorded: while the estimator has no position, once it has one, and once the vehicle may arm.
+SENSORS_PRESENT = (0, 0x0300400D, 0x0300402D)
+SENSORS_ENABLED = (0, 0x0301400D, 0x0301402D)
+SENSORS_HEALTH = (0x2321C83F, 0x2320883F, 0x2320C83F)
 GPS = 0x20
 PREARM_CHECK = 0x10000000
 """MAV_SYS_STATUS_PREARM_CHECK, once the vehicle may arm."""
@@ -35,11 +35,11 @@ ESTIMATOR_READY = 831
 
 def sensors(v: Vehicle) -> tuple[int, int, int]:
     """SYS_STATUS: sensors present, enabled, healthy."""
-    known = v.now_ms >= BOOT.position_ms
-    health = SENSORS_HEALTH[known] | (PREARM_CHECK if v.commander.ready else 0)
+    stage = (v.now_ms >= BOOT.position_ms) + (v.now_ms >= BOOT.armable_ms)
+    health = SENSORS_HEALTH[stage] | (PREARM_CHECK if v.commander.ready else 0)
     if not v.model.estimator.gps:
         health &= ~GPS
-    return SENSORS_PRESENT[known], SENSORS_ENABLED[known], health
+    return SENSORS_PRESENT[stage], SENSORS_ENABLED[stage], health
 
 
 def vehicle_type(p: Parameters) -> int:
