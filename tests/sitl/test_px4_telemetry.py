@@ -94,6 +94,18 @@ def test_health_is_whole_at_4_8_s(vehicle):
     assert 3.9 <= vehicle.time_ms / 1000 <= 4.8
 
 
+def test_no_gps_in_sys_status_before_it_may_arm(vehicle):
+    """The recorded boot: present 0, then without GPS, then with it. MAVSDK's `health_all_ok` needs it, so it comes last."""
+    told = []
+    for _ in range(60):
+        vehicle.fly(0.1)
+        if "SYS_STATUS" in vehicle.latest:
+            status = vehicle.latest["SYS_STATUS"]
+            armable = bool(status.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
+            told.append((status.onboard_control_sensors_present, armable))
+    assert list(dict.fromkeys(told)) == [(0, False), (0x0300400D, False), (0x0300402D, True)]
+
+
 @pytest.mark.parametrize("period_ms", [670, 1000])
 def test_marginal_streams_do_not_fly_away(hovering, period_ms):
     """AUTOPILOT.md 2: "1.5 to 1 Hz is marginal": OFFBOARD may drop out, but comes back by itself with each setpoint."""
