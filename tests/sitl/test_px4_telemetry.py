@@ -95,7 +95,7 @@ def test_health_is_whole_at_4_8_s(vehicle):
 
 
 def test_no_gps_in_sys_status_before_it_may_arm(vehicle):
-    """The recorded boot: present 0, then without GPS, then with it. MAVSDK's `health_all_ok` needs it, so it comes last."""
+    """The recorded boot: nothing present, then all but GPS, then GPS too, which MAVSDK's `health_all_ok` needs."""
     told = []
     for _ in range(60):
         vehicle.fly(0.1)
