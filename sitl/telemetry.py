@@ -379,8 +379,11 @@ def home_position(v: Vehicle, q: tuple[float, float, float, float] = (1.0, 0.0, 
 
 
 def gps_global_origin(v: Vehicle) -> Payload | None:
-    if not v.located:
-        return None
+    return global_origin(v) if v.located else None
+
+
+def global_origin(v: Vehicle) -> Payload:
+    """GPS_GLOBAL_ORIGIN, once it is known."""
     return pack(
         "GPS_GLOBAL_ORIGIN",
         latitude=round(v.origin.latitude * 1e7),

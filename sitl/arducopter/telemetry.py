@@ -60,15 +60,7 @@ def home_position(v: Vehicle) -> Payload | None:
 
 def gps_global_origin(v: Vehicle) -> Payload | None:
     """Known as soon as home is."""
-    if v.commander.home is None:
-        return None
-    return pack(
-        "GPS_GLOBAL_ORIGIN",
-        latitude=round(v.origin.latitude * 1e7),
-        longitude=round(v.origin.longitude * 1e7),
-        altitude=round(v.origin.altitude * 1000.0),
-        time_usec=v.now_ms * 1000,
-    )
+    return None if v.commander.home is None else common.global_origin(v)
 
 
 def global_position_int(v: Vehicle) -> Payload:
