@@ -26,7 +26,7 @@ from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig
 from autopilot_bridge.deadman import SILENCE_WALL_S, Rung, Silence
 from autopilot_bridge.energy import Endurance
-from autopilot_bridge.envelope import Envelope
+from autopilot_bridge.envelope import Envelope, Sent
 from autopilot_bridge.fence import Fence, lowered, outside_m
 from autopilot_bridge.flight_parameters import FlightParameters
 from autopilot_bridge.ground import Ground
@@ -489,10 +489,30 @@ class Flight:
         energy_j = None if endurance is None else self._left_j(endurance)
         sent = self._envelope.send(wanted, self._heading(position), position, velocity, self._others(), energy_j)
         self._counters["setpoints"] += 1
+        self._log_setpoint(wanted, sent)
         for reason in sent.reasons:
             self._counters[f"setpoints_clipped_{reason.replace(' ', '_')}"] += 1
             if self._slots is not None and reason in TELLING:
                 self._slots.clipped(f"envelope: {reason}")
+
+    def _log_setpoint(self, wanted: Vector, sent: Sent) -> None:
+        """The proof of what was sent and why."""
+        slots, now = self._slots, self._clock.now
+        order = None if slots is None else slots.order
+        self._ground.setpoint.send(
+            m.Setpoint(
+                time_s=now,
+                slot=None if slots is None or slots.number < 0 or slots.closed else slots.number,
+                source=order.source if order else "transit" if self._phase == "transit" else "hold",
+                action_slot=order.slot if order else None,
+                action_age_s=now - order.taken_s if order else None,
+                state_age_s=max(0.0, now - self._vehicle.telemetry.time_s),
+                wanted_enu=vec3(wanted) if np.isfinite(wanted).all() else None,
+                velocity_enu=vec3(sent.velocity),
+                yaw_rad=self._yaw,
+                reasons=list(sent.reasons),
+            )
+        )
 
     def _report(self) -> None:
         hz = self._config.setpoint_hz

@@ -26,6 +26,7 @@ class Ground:
         self._health = topics.Publisher(session, vehicle, topics.HEALTH)
         self.state = topics.Publisher(session, vehicle, topics.STATE)
         self.slot = topics.Publisher(session, vehicle, topics.SLOT)
+        self.setpoint = topics.Publisher(session, vehicle, topics.SETPOINT)
         self.actions: queue.SimpleQueue[m.Action] = queue.SimpleQueue()
         self.commands: queue.SimpleQueue[m.CommandName] = queue.SimpleQueue()
         self.changes: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()

@@ -4,6 +4,8 @@ Pure: vehicle time, position and velocity come in, messages and references go ou
 t_k = t_0 + k * slot_s to t_{k+1}.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from airframe.slot_profile import Reference, Vector, brake
@@ -20,6 +22,15 @@ REACH = "acceleration"
 """The one reason that is no clipping: how far a multicopter gets in a slot, told by planned against commanded."""
 
 
+@dataclass(frozen=True)
+class Order:
+    """The action that is being flown: whose, for which slot, and since when [s of vehicle time]."""
+
+    source: str
+    slot: int
+    taken_s: float
+
+
 class Slots:
     """All slots of a flight. `start_s` is t_0; the reference starts at rest in `position`."""
 
@@ -28,6 +39,8 @@ class Slots:
         """The open slot; -1 before the first, `config.slots` after the last."""
         self.outcome: SlotOutcome | None = None
         """What became of the open slot's action; None while it is awaited."""
+        self.order: Order | None = None
+        """The action whose profile is flown, up to the next one's coming; None in a hold."""
         self.deadman = Deadman(config.deadline_s, config.grace_s, start_s)
         self._config, self._limits, self._start_s = config, limits, start_s
         self._profile, self._since_s = brake(position, np.zeros(3), limits.agility), start_s
@@ -120,17 +133,19 @@ class Slots:
         )
         self._profile, self._since_s = planned.profile, self.opening_s
         self._commanded, self._reasons = wanted, list(planned.reasons)
+        self.order = Order(action.source, action.slot, time_s)
         self.outcome = "flown" if set(planned.reasons) <= {REACH} else "clipped"
 
     def hold(self, time_s: float, outcome: SlotOutcome, reason: str) -> None:
         """Begin the planned hold at `time_s`: the open slot has no action to fly."""
-        self.outcome, self._reasons = outcome, [reason]
+        self.outcome, self._reasons, self.order = outcome, [reason], None
         now = self.reference(time_s)
         self._profile, self._since_s = brake(now.position, now.velocity, self._limits.agility, now.acceleration), time_s
 
     def restart(self, time_s: float, position: Vector, velocity: Vector) -> None:
         """Somebody else flew: the reference goes on, braking, from where the vehicle really is."""
         self._profile, self._since_s = brake(position, velocity, self._limits.agility), time_s
+        self.order = None
 
     def clipped(self, reason: str) -> None:
         """The envelope changed a setpoint of the open slot."""

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 
 Finite = Annotated[float, msgspec.Meta(ge=-1.7976931348623157e308, le=1.7976931348623157e308)]
+Age = Annotated[float, msgspec.Meta(ge=0, le=1.7976931348623157e308)]
 Count = Annotated[int, msgspec.Meta(ge=0)]
 Vec3 = tuple[Finite, Finite, Finite]
 Complex = tuple[Finite, Finite]
@@ -124,6 +125,31 @@ class Action(Message, frozen=True):
     """The actors' output before decoding, for data sets; may be empty."""
     theta_transmission: list[Finite] = []
     """N phases in [-pi, pi] for a surface whose phases are independent; empty for every other."""
+
+
+class Setpoint(Message, frozen=True):
+    """A velocity setpoint as it went to the autopilot (SET_POSITION_TARGET_LOCAL_NED), and where it came from."""
+
+    time_s: Finite
+    """When it was sent."""
+    slot: Count | None
+    """The open slot; None while there is none."""
+    source: str
+    """What is being flown: an action's `source`, or `transit`, or `hold`."""
+    action_slot: Count | None
+    """The slot whose action is being flown: up to the action's coming the last slot's; None when none is."""
+    action_age_s: Age | None
+    """Since that action was taken in."""
+    state_age_s: Age
+    """Since the position that this was computed from."""
+    wanted_enu: Vec3 | None
+    """Velocity that tracking asked for [m/s]; None when it was not finite."""
+    velocity_enu: Vec3
+    """Velocity sent [m/s]."""
+    yaw_rad: Finite
+    """ENU."""
+    reasons: list[str]
+    """Why what was sent is not what was wanted: speed, acceleration, fence, energy, separation..."""
 
 
 class RisConfiguration(Message, frozen=True):

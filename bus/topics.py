@@ -41,12 +41,13 @@ STATE = Topic("state", m.VehicleState, newest_only=True)
 SLOT = Topic("slot", m.SlotOpened, cached=True)
 CSI = Topic("rf/csi", m.ChannelState, cached=True)
 ACTION = Topic("agent/action", m.Action)
+SETPOINT = Topic("setpoint", m.Setpoint)
 CONFIGURATION = Topic("ris/configuration", m.RisConfiguration, cached=True)
 LINK = Topic("rf/link", m.LinkReport, cached=True)
 EVENT = Topic("event", m.MissionEvent)
 HEALTH = Topic("health", m.NodeHealth)
 
-TOPICS: tuple[Topic[Any], ...] = (STATE, SLOT, CSI, ACTION, CONFIGURATION, LINK, EVENT, HEALTH)
+TOPICS: tuple[Topic[Any], ...] = (STATE, SLOT, CSI, ACTION, SETPOINT, CONFIGURATION, LINK, EVENT, HEALTH)
 
 
 class Declared(Protocol):
