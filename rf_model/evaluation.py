@@ -13,6 +13,7 @@ from rf_model.complex_pairs import ShapeError, to_matrix, to_pairs
 from rf_model.geometry import panel_frame
 from rf_model.given_trc import AMPLITUDES, read_given
 from rf_model.link import BeamformingError, check_beamforming, effective_channel, identity_beamforming
+from rf_model.reference.uncompiled import zero_forcing
 from rf_model.reward import reward
 from rf_model.ris_control import reference_solution
 from rf_model.scenario import Scenario
@@ -143,21 +144,11 @@ def _decision(snapshot: Snapshot, channels: Channels) -> tuple[Coefficients, Ten
         case None | "identity":
             return trc, identity_beamforming(scenario, torch.complex128)
         case "rzf":
-            return trc, _zero_forcing(scenario, effective_channel(channels, trc))
+            return trc, zero_forcing(scenario, effective_channel(channels, trc))
         case given:
             beams = to_matrix("beamforming", given, "M x J", scenario.antennas, scenario.users)
     check_beamforming(beams, scenario)
     return trc, beams
-
-
-def _zero_forcing(scenario: Scenario, channel: Tensor) -> Tensor:
-    """Beams [M, J] of equal power p, each along (sigma^2 / p I + sum of conj(g) g^T)^-1 conj(g), for g_j [J, M]."""
-    power = scenario.p_max_w if scenario.p_max == "per_user" else scenario.p_max_w / scenario.users
-    outer = channel.mH @ channel
-    regularised = outer + torch.eye(scenario.antennas, dtype=outer.dtype) * (scenario.noise_w / power)
-    beams: Tensor = torch.linalg.solve(regularised, channel.mH)
-    sizes = torch.linalg.vector_norm(beams, dim=0)
-    return beams * (math.sqrt(power) / torch.where(sizes > 0, sizes, 1.0))
 
 
 def _power_terms(snapshot: Snapshot) -> dict[str, float]:
