@@ -1,6 +1,7 @@
 """Vehicle time, one step at a time: owned by the bridge (lockstep) or by the autopilot (paced)."""
 
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 from autopilot_bridge.link import ControlLine
@@ -19,21 +20,24 @@ class Clock(Protocol):
 
     @property
     def now(self) -> float:
-        """Vehicle time [s] at the last step."""
+        """Vehicle time [s] at the last step; while `meanwhile` is called, that of the call."""
 
     @property
     def frozen_between_steps(self) -> bool:
         """Whether the vehicle waits for us, so that waiting for something costs no vehicle time."""
 
-    def step(self, vehicle: Vehicle) -> None:
-        """Let one step pass and take in the telemetry of it."""
+    def step(self, vehicle: Vehicle, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Let one step pass and take in the telemetry of it; `meanwhile` is called whenever something has come."""
 
     def close(self, over: bool) -> None:
         """Let go of vehicle time; `over`: nobody will need it any more."""
 
 
 class Lockstep:
-    """The SITL moves only when told to, by `step_ms` at a time. Raises LinkError when it does not answer."""
+    """The SITL moves only when told to, by `step_ms` at a time. Raises LinkError when it does not answer.
+
+    Vehicle time stands still while telemetry comes in, so `meanwhile` is never called.
+    """
 
     frozen_between_steps = True
 
@@ -42,7 +46,7 @@ class Lockstep:
         self._step_ms = step_ms
         self.now = self._line.hello()
 
-    def step(self, vehicle: Vehicle) -> None:
+    def step(self, vehicle: Vehicle, meanwhile: Callable[[], None] = lambda: None) -> None:
         before = vehicle.frames_received
         self.now, sent = self._line.advance(self._step_ms)
         deadline = time.monotonic() + TELEMETRY_WALL_S
@@ -73,32 +77,37 @@ class Paced:
         self._telemetry_s = 0.0
         self._heard_at = time.monotonic()
         self._steps = 0
+        self.now = 0.0
 
-    @property
-    def now(self) -> float:
-        return self._steps * self._step_ms / 1000
-
-    def step(self, vehicle: Vehicle) -> None:
-        due_s = (self._steps + 1) * self._step_ms / 1000
+    def step(self, vehicle: Vehicle, meanwhile: Callable[[], None] = lambda: None) -> None:
+        last_s, due_s = self._at(self._steps), self._at(self._steps + 1)
         give_up = time.monotonic() + max(2 * self._step_ms / 1000 / self._speed, UNHEARD_S / self._speed)
         while (left_s := due_s - self._estimate(vehicle)) > 1e-6:
             wall = time.monotonic()
             if wall >= give_up:
+                self.now = last_s
                 return
             vehicle.poll(min(left_s / self._speed, give_up - wall))
+            self.now = min(max(self._estimate(vehicle), last_s), due_s)
+            meanwhile()
         behind = int((self._estimate(vehicle) - due_s) / (self._step_ms / 1000))
         if behind > 0 and self._steps > 0:
             vehicle.counters["steps_skipped"] += behind
         self._steps += 1 + max(behind, 0)
+        self.now = self._at(self._steps)
 
     def close(self, over: bool) -> None:
         """The autopilot's clock goes on without us."""
+
+    def _at(self, steps: int) -> float:
+        return steps * self._step_ms / 1000
 
     def _estimate(self, vehicle: Vehicle) -> float:
         told_s = vehicle.telemetry.time_s
         if told_s < self._telemetry_s - WENT_BACK_S:
             before_s, self._telemetry_s, self._heard_at = self._telemetry_s, told_s, time.monotonic()
             self._steps = int(told_s * 1000 / self._step_ms)
+            self.now = self._at(self._steps)
             raise SilentError(
                 f"the autopilot's clock went back from {before_s:.1f} to {told_s:.1f} s: it has restarted"
             )

@@ -8,13 +8,16 @@ import queue
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import zenoh
 
+from autopilot_bridge.bell import Bell
 from bus import messages as m
 from bus import topics
 
 HEALTH_WALL_S = 1.0
+T = TypeVar("T")
 
 
 class Ground:
@@ -27,6 +30,8 @@ class Ground:
         self.state = topics.Publisher(session, vehicle, topics.STATE)
         self.slot = topics.Publisher(session, vehicle, topics.SLOT)
         self.setpoint = topics.Publisher(session, vehicle, topics.SETPOINT)
+        self.bell = Bell()
+        """Rings when one of the queues below has something new."""
         self.actions: queue.SimpleQueue[m.Action] = queue.SimpleQueue()
         self.commands: queue.SimpleQueue[m.CommandName] = queue.SimpleQueue()
         self.changes: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
@@ -44,8 +49,8 @@ class Ground:
         """Subscribed, answering commands, and alive."""
         session, name = self._session, self._name
         held = (
-            topics.subscribe(session, name, topics.ACTION, self.actions.put, self.refused),
-            topics.watch_alive(session, name, lambda node, alive: self.changes.put((node, alive))),
+            topics.subscribe(session, name, topics.ACTION, self._put(self.actions), self.refused),
+            topics.watch_alive(session, name, lambda node, alive: self._put(self.changes)((node, alive))),
             topics.answer_commands(session, name, self._answer, self.refused),
             topics.declare_alive(session, name, "bridge"),
         )
@@ -65,16 +70,25 @@ class Ground:
         print(f"{now:9.2f} {kind}: {text}", flush=True)
         self._event.send(m.MissionEvent(time_s=now, source="bridge", kind=kind, text=text, exit_code=exit_code))
 
-    def publish_health(self, counters: Counter[str], final: bool = False) -> None:
+    def publish_health(self, counters: Callable[[], Counter[str]], final: bool = False) -> None:
         """NodeHealth, at most once a second unless `final`."""
         wall = time.monotonic()
         if wall - self._health_at < HEALTH_WALL_S and not final:
             return
         self._health_at = wall
-        self._health.send(topics.health("bridge", counters, self.refused))
+        self._health.send(topics.health("bridge", counters(), self.refused))
+
+    def _put(self, into: "queue.SimpleQueue[T]") -> Callable[[T], None]:
+        """Puts things there and rings."""
+
+        def put(what: T) -> None:
+            into.put(what)
+            self.bell.ring()
+
+        return put
 
     def _answer(self, command: m.Command) -> m.CommandReply:
         reason = self.objection(command.name)
         if not reason:
-            self.commands.put(command.name)
+            self._put(self.commands)(command.name)
         return m.CommandReply(accepted=not reason, reason=reason)

@@ -3,33 +3,39 @@
 import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import zenoh
 
 from autopilot_bridge.clock import Clock, Lockstep, Paced
-from autopilot_bridge.config import BridgeConfig, LockstepClock
+from autopilot_bridge.config import BridgeConfig, LockstepClock, PacedClock
 from autopilot_bridge.dialects.known import dialects
-from autopilot_bridge.flight import ERROR, Flight
+from autopilot_bridge.endings import ERROR
+from autopilot_bridge.flight import Flight
 from autopilot_bridge.ground import Ground
 from autopilot_bridge.link import Link, LinkError
 from autopilot_bridge.mavlink_vehicle import MavlinkVehicle
+from autopilot_bridge.neighbours import Neighbours
 from autopilot_bridge.signing import Signing, read_key
+from bus.messages import CommandName
 
 
-def run(config: BridgeConfig, vehicle: str, session: zenoh.Session, tlog: Path | None) -> int:
+def run(
+    config: BridgeConfig, vehicle: str, session: zenoh.Session, tlog: Path | None, others: Sequence[str] = ()
+) -> int:
     """Fly `config` under the bus name `vehicle`; the exit code: 0 as planned, 3 ended safely early, 1 error.
 
-    `tlog` is the flight log to write, if any. The caller opens and closes the session. On the main thread the first
-    Ctrl-C lands; the second ends the process and leaves the vehicle to the autopilot's failsafe.
+    `tlog` is the flight log to write, if any; `others` are the bus names of vehicles to keep apart from. The caller
+    opens and closes the session. On the main thread the first Ctrl-C lands; the second ends the process and leaves the
+    vehicle to the autopilot's failsafe.
     """
     ground = Ground(session, vehicle)
     with contextlib.ExitStack() as served, _interrupted_by(lambda: ground.commands.put("land")):
         try:
             link = Link(config.autopilot, config.system_id, tlog, signing=_signing(config))
             with contextlib.closing(link):
-                code = _fly(config, ground, link, served)
+                code = _fly(config, ground, link, served, session, others if config.separation_m > 0 else ())
         except (LinkError, ValueError) as error:
             ground.tell("error", str(error))
             code = ERROR
@@ -37,21 +43,55 @@ def run(config: BridgeConfig, vehicle: str, session: zenoh.Session, tlog: Path |
         return code
 
 
-def _fly(config: BridgeConfig, ground: Ground, link: Link, served: contextlib.ExitStack) -> int:
+def _fly(
+    config: BridgeConfig,
+    ground: Ground,
+    link: Link,
+    served: contextlib.ExitStack,
+    session: zenoh.Session,
+    others: Sequence[str],
+) -> int:
     """Alive on the bus only once a flight is there to take commands."""
     clock = _clock(config)
     ground.now = lambda: clock.now
+    made: list[MavlinkVehicle] = []
     with contextlib.ExitStack() as owned:
 
         def make_vehicle(wait: Callable[[], None]) -> MavlinkVehicle:
-            return owned.enter_context(contextlib.closing(_vehicle(config, link, clock, wait)))
+            made.append(owned.enter_context(contextlib.closing(_vehicle(config, link, clock, wait))))
+            return made[0]
 
-        flight = Flight(config, ground, clock, make_vehicle)
+        neighbours = Neighbours(
+            session,
+            others,
+            config.limits,
+            config.clock.speed if isinstance(config.clock, PacedClock) else 1.0,
+            home=lambda: made[0].telemetry.home_lat_lon_alt if made else None,
+            tell=ground.tell,
+            all_known=lambda: ground.commands.put("start") if config.autostart else None,
+        )
+        owned.enter_context(contextlib.closing(neighbours))
+        alone = config.autostart and not others
+        flight = Flight(config.model_copy(update={"autostart": alone}), ground, clock, make_vehicle, neighbours.tracks)
+        ground.objection = _unless_known(neighbours, ground.objection)
         served.enter_context(ground.served())
         code = flight.run()
         with contextlib.suppress(LinkError):  # a SITL that is gone needs no farewell
             clock.close(over=flight.down)
     return code
+
+
+def _unless_known(
+    neighbours: Neighbours, objection: Callable[[CommandName], str]
+) -> Callable[[CommandName], str]:
+    """`objection`, and no start before it is known where the others are."""
+
+    def object_to(name: CommandName) -> str:
+        if name == "start" and neighbours.unknown:
+            return f"the home of {', '.join(neighbours.unknown)} is not known yet, so nobody could keep apart from it"
+        return objection(name)
+
+    return object_to
 
 
 def _vehicle(config: BridgeConfig, link: Link, clock: Clock, wait: Callable[[], None]) -> MavlinkVehicle:

@@ -1,0 +1,289 @@
+"""One step of vehicle time, of which every wait of a flight is made: hear, judge, keep the slots, steer, tell."""
+
+import contextlib
+import queue
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+from airframe.slot_profile import Vector
+from autopilot_bridge.clock import Clock
+from autopilot_bridge.config import BridgeConfig
+from autopilot_bridge.deadman import SILENCE_WALL_S, Rung, Silence
+from autopilot_bridge.endings import ERROR, FAILSAFE, End, Yielded
+from autopilot_bridge.fence import outside_m
+from autopilot_bridge.ground import Ground
+from autopilot_bridge.helm import Helm
+from autopilot_bridge.separation import Track
+from autopilot_bridge.slots import SAMPLE_S, Slots, vec3
+from autopilot_bridge.vehicle import Mode, SilentError, Vehicle
+from bus import messages as m
+
+BREACH_M = 1.0
+"""This far outside the fence the vehicle is sent home."""
+PEERS = ("agent", "rf")
+"""Nodes without which no action comes."""
+EARLY_S = 0.02
+"""A state may be told this much before its time is due: telemetry does not come to the millisecond."""
+
+
+class Loop:
+    """The bridge's loop about one vehicle. `make_vehicle(wait)` builds it; it calls `wait` to let a step pass."""
+
+    def __init__(
+        self,
+        config: BridgeConfig,
+        ground: Ground,
+        clock: Clock,
+        make_vehicle: Callable[[Callable[[], None]], Vehicle],
+        others: Callable[[], Sequence[Track]],
+    ) -> None:
+        self._config, self._ground, self._clock = config, ground, clock
+        self.vehicle = make_vehicle(self.step)
+        self.helm = Helm(config, clock, self.vehicle, ground, others)
+        self.phase = "connecting"
+        self.started = config.autostart
+        self.held = False
+        """No actions are flown: by command, or because somebody else flies."""
+        self.expected: set[Mode] = set()
+        """Modes that are our doing; empty: any."""
+        self.flying = False
+        """Armed by us and not yet told to come down."""
+        self.silence = Silence(time.monotonic())
+        self._alive: dict[str, bool] = {}
+        self._malformed = 0
+        self._counters: Counter[str] = Counter()
+        self._steps = 0
+        self._state_told_s = self._position_told_s = 0.0
+        ground.objection = self._objection
+
+    @property
+    def down(self) -> bool:
+        """Whether the vehicle is on the ground and disarmed, as far as we know."""
+        return not self.vehicle.telemetry.armed
+
+    def enter(self, phase: str) -> None:
+        if phase != self.phase:
+            self.phase = phase
+            self.tell("phase", phase)
+
+    def tell(self, kind: str, text: str) -> None:
+        self._ground.tell(kind, text)
+
+    def step(self) -> None:
+        """Raises End, Yielded, and what the vehicle raises."""
+        self._hear()
+        self._judge()
+        if self.helm.slots is not None:
+            self._keep_slots(self.helm.slots)
+        self.helm.steer()
+        self._report()
+        self._clock.step(self.vehicle, self._meanwhile)
+        self._steps += 1
+
+    def idle(self) -> None:
+        """Hear the bus while vehicle time stands still. Raises End."""
+        self._hear()
+        self._publish_health()
+        self.silence.excuse(time.monotonic())
+        time.sleep(0.01)
+
+    def end(self) -> None:
+        """The last words."""
+        self.phase = "ended"
+        self._publish_state()
+        self._publish_health(final=True)
+
+    # Hearing and judging.
+
+    def _hear(self) -> None:
+        """Nodes that come and go, and commands. Raises End."""
+        while not self._ground.changes.empty():
+            node, alive = self._ground.changes.get()
+            known = self._alive.get(node)
+            self._alive[node] = alive
+            if node in PEERS and known is not None and known != alive:
+                self.tell("node_back" if alive else "node_lost", f"{node} node is {'back' if alive else 'gone'}")
+            if node == "mission" and known and not alive and not self.started:
+                raise End(None, ERROR, "the mission is gone before the start")
+        while not self._ground.commands.empty():
+            command = self._ground.commands.get()
+            self.tell("command", command)
+            match command:
+                case "start":
+                    self.started = True
+                case "hold":
+                    self.held = True
+                case "resume":
+                    self.held = False
+                case "return":
+                    raise End(Mode.RETURN, FAILSAFE, "return was commanded")
+                case "land":
+                    raise End(Mode.LAND, FAILSAFE, "land was commanded")
+
+    def _judge(self) -> None:
+        """Silence, the ground, other hands, the fence, the battery, the ladder. Raises SilentError, End, Yielded."""
+        vehicle, helm = self.vehicle, self.helm
+        if self.silence.over(vehicle.heard, time.monotonic()) and self.phase != "connecting":
+            raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for {SILENCE_WALL_S:g} s")
+        telemetry = vehicle.telemetry
+        if self.flying and not telemetry.armed:
+            raise End(None, FAILSAFE, f"the vehicle disarmed in mode {telemetry.mode_name}")
+        if self.expected and telemetry.mode not in self.expected:
+            self.expected = set()
+            helm.let_go()
+            self.tell("mode", f"{telemetry.mode_name} was chosen by autopilot or pilot: obeyed")
+            raise Yielded
+        if not helm.steering:
+            return
+        position, velocity = helm.here()
+        if outside_m(helm.fence, position) > BREACH_M:
+            raise End(Mode.RETURN, FAILSAFE, f"outside the fence at {rounded(position)}")
+        self._judge_energy(position, velocity)
+        if helm.slots is not None and helm.slots.deadman.rung(self._clock.now) is Rung.RETURN:
+            raise End(Mode.RETURN, FAILSAFE, f"no good action for {self._config.grace_s:g} s")
+
+    def _judge_energy(self, position: Vector, velocity: Vector) -> None:
+        """Raises End."""
+        endurance = self._config.endurance
+        if endurance is None:
+            return
+        left_j, needed_j = self.helm.left_j(endurance), endurance.needed_j(self.helm.stop(position, velocity))
+        if left_j < needed_j:
+            held = f"the battery holds {max(left_j, 0.0) / 1e3:.1f} kJ"
+            raise End(Mode.RETURN, FAILSAFE, f"the way home needs {needed_j / 1e3:.1f} kJ, {held}")
+
+    # The slots.
+
+    def _keep_slots(self, slots: Slots) -> None:
+        """Open what is due, take what has come, hold what has not."""
+        position, velocity = self.helm.here()
+        if slots.due(self._clock.now):
+            opened = slots.open(position, velocity, self.vehicle.telemetry.attitude_rad)
+            self._malformed = self._ground.malformed_actions
+            self._ground.slot.send(opened)
+            if opened.flown is not None:
+                self._account(opened.flown)
+            if self._clock.frozen_between_steps and not slots.closed:
+                self._await_action(slots)
+        self._take_actions(slots)
+        if slots.awaiting and slots.deadman.rung(self._clock.now) is Rung.HOLD:
+            slots.hold(self._clock.now, "missing", "no action by the deadline")
+        slots.sample(self._clock.now, position, velocity)
+
+    def _await_action(self, slots: Slots) -> None:
+        """Vehicle time stands still until the slot's action is there, or will not come."""
+        patience = time.monotonic() + self._config.action_wait_wall_s
+        while slots.awaiting and time.monotonic() < patience and self._may_come():
+            with contextlib.suppress(queue.Empty):
+                self._take(slots, self._ground.actions.get(timeout=0.02))
+            self._take_actions(slots)
+            self._hear()
+            self._publish_health()
+        self.silence.excuse(time.monotonic())
+        if slots.awaiting:
+            slots.hold(self._clock.now, "missing", "no action")
+
+    def _may_come(self) -> bool:
+        return self._config.await_restart or all(self._alive.get(node, True) for node in PEERS)
+
+    def _take_actions(self, slots: Slots) -> None:
+        while not self._ground.actions.empty():
+            self._take(slots, self._ground.actions.get())
+        if slots.awaiting and self._ground.malformed_actions > self._malformed:
+            slots.hold(self._clock.now, "rejected", "malformed action")
+
+    def _take(self, slots: Slots, action: m.Action) -> None:
+        if action.slot != slots.number:
+            self._counters["actions_for_other_slots"] += 1
+        elif not self.helm.steering:
+            slots.act(action, self._clock.now, f"control yielded to {self.vehicle.telemetry.mode_name}")
+        else:
+            slots.act(action, self._clock.now, "held by command" if self.held else None)
+
+    def _meanwhile(self) -> None:
+        """Between two steps, when something has come: neither an action nor a new state waits for the next step."""
+        slots = self.helm.slots
+        if slots is not None and slots.awaiting and not self._ground.actions.empty():
+            self._take_actions(slots)
+            if slots.acting:
+                self.helm.steer()
+        if self._clock.now - self._state_told_s >= SAMPLE_S - EARLY_S and self._fresh():
+            self._publish_state()
+
+    # Telling.
+
+    def _report(self) -> None:
+        hz = self._config.setpoint_hz
+        if self._steps % hz == 0:
+            self.vehicle.beat()
+        if self._clock.frozen_between_steps:
+            if self._steps % round(hz * SAMPLE_S) == 0:
+                self._publish_state()
+        elif self._clock.now - self._state_told_s >= 1.5 * SAMPLE_S:  # no telemetry came that told it
+            self._publish_state()
+        for text in self.vehicle.status_texts():
+            self.tell("statustext", text)
+        slots = self.helm.slots
+        if slots is not None and self.helm.steering and slots.decided:
+            self.enter("slots" if slots.acting else "holding")
+        self._publish_health()
+
+    def _account(self, flown: m.FlownSlot) -> None:
+        self._counters[f"slots_{flown.outcome}"] += 1
+        told = [reason for reason in flown.reasons if reason not in ("acceleration", "speed", "climb")]
+        if told:
+            self.tell("slot", f"slot {flown.slot} {flown.outcome}: {', '.join(told)}")
+
+    def _fresh(self) -> bool:
+        """Whether the position is newer than the last one told."""
+        return self.vehicle.telemetry.time_s > self._position_told_s
+
+    def _publish_state(self) -> None:
+        telemetry = self.vehicle.telemetry
+        if telemetry.position_enu is None:
+            return
+        self._state_told_s, self._position_told_s = self._clock.now, telemetry.time_s
+        position, velocity = self.helm.here()
+        self._ground.state.send(
+            m.VehicleState(
+                time_s=self._clock.now,
+                position_enu=vec3(position),
+                velocity_enu=vec3(velocity),
+                attitude_rad=telemetry.attitude_rad,
+                mode=telemetry.mode_name,
+                armed=telemetry.armed,
+                landed=telemetry.landed,
+                battery_remaining=telemetry.battery_remaining,
+                home_lat_lon_alt=telemetry.home_lat_lon_alt,
+                phase=self.phase,
+            )
+        )
+
+    def _publish_health(self, final: bool = False) -> None:
+        self._ground.publish_health(lambda: self._counters + self.helm.counters + self.vehicle.counters, final)
+
+    # Commands: on zenoh's thread, so only single reads.
+
+    def _objection(self, name: m.CommandName) -> str:
+        """Why a command cannot be taken now; empty when it can."""
+        phase = self.phase
+        if phase == "ended":
+            return "the flight is over"
+        match name:
+            case "start" if self.started:
+                return "already started"
+            case "hold" if phase not in ("takeoff", "transit", "slots", "holding"):
+                return f"nothing to hold in phase {phase}"
+            case "resume" if phase not in ("holding", "yielded") or not self.flying:
+                return f"nothing to resume in phase {phase}"
+            case "resume":
+                position = self.vehicle.telemetry.position_enu
+                if position is None or outside_m(self.helm.fence, position) > 0:
+                    return "the vehicle is outside the fence"
+        return ""
+
+
+def rounded(position: Vector) -> str:
+    """For people."""
+    return f"({', '.join(f'{c:.1f}' for c in position.tolist())}) m"
