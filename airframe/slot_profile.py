@@ -18,21 +18,23 @@ vertical half-axis is `vertical_share` of the horizontal one; all sums are done 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+from airframe.pulse import NOTHING, Pulse, Start, Triple
+from airframe.search import largest_share
 
 Vector = NDArray[np.float64]
 """Shape (3,) or (..., 3): east, north, up."""
 
-ROUNDS = 60
-"""Most steps of a root search; some ten are needed."""
+AXES = (0, 1, 2)
 PIECES = 8
-TRIALS = 20
-"""Bisections of a turn that would be too fast on its way."""
+CALM = 0.01
+"""So exact is the share to which a turn is taken back that would be too fast on its way."""
 
 
 class SpeedLimits(NamedTuple):
@@ -62,15 +64,49 @@ class Reference(NamedTuple):
     acceleration: Vector
 
 
+class Piece(NamedTuple):
+    """Of a profile, with one jerk: where and how it begins."""
+
+    begins_s: float
+    position: Triple
+    velocity: Triple
+    acceleration: Triple
+    jerk: Triple
+
+    def after(self, t: float) -> tuple[Triple, Triple, Triple]:
+        """Position, velocity and acceleration `t` after its beginning."""
+        (px, py, pz), (vx, vy, vz), (ax, ay, az), (jx, jy, jz) = self[1:]
+        half, sixth = t / 2, t / 3
+        return (
+            (
+                px + t * (vx + half * (ax + sixth * jx)),
+                py + t * (vy + half * (ay + sixth * jy)),
+                pz + t * (vz + half * (az + sixth * jz)),
+            ),
+            (vx + t * (ax + half * jx), vy + t * (ay + half * jy), vz + t * (az + half * jz)),
+            (ax + t * jx, ay + t * jy, az + t * jz),
+        )
+
+    def turns(self, axis: int, within_s: float) -> list[float]:
+        """Where it turns back along an axis."""
+        p, v, a, j = self.position[axis], self.velocity[axis], self.acceleration[axis], self.jerk[axis]
+        squared = a * a - 2 * j * v
+        if squared < 0.0:
+            return []
+        q = -(a + math.copysign(squared**0.5, a))  # v + a t + j t^2 / 2 is zero at q / j and at 2 v / q
+        times = [above / below for above, below in ((q, j), (2 * v, q)) if below != 0.0]
+        return [p + t * (v + t / 2 * (a + t / 3 * j)) for t in times if 0.0 < t < within_s]
+
+
 @dataclass(frozen=True)
 class SlotProfile:
     """One pulse of acceleration, constant velocity after it."""
 
-    position: Vector
-    velocity: Vector
-    acceleration: Vector
+    position: Triple
+    velocity: Triple
+    acceleration: Triple
     """At the start."""
-    peak: Vector
+    peak: Triple
     """The acceleration that is held."""
     ramp_up_s: float
     hold_s: float
@@ -83,21 +119,67 @@ class SlotProfile:
         """Until the velocity no longer changes."""
         return self.ramp_up_s + self.hold_s + self.ramp_down_s
 
-    def at(self, time_s: ArrayLike) -> Reference:
+    def at(self, time_s: float | Vector) -> Reference:
         """The reference at times [s] since the profile's start; `time_s` of shape (...) gives vectors (..., 3)."""
-        t = np.maximum(np.asarray(time_s, dtype=float), 0.0)[..., None]
-        up = _ramp(t, self.ramp_up_s)
-        down = _ramp(t - self.ramp_up_s - self.hold_s, self.ramp_down_s)
-        first = (t * t / 2 - up[2], t - up[1], 1.0 - up[0])
-        then = tuple(rise - fall for rise, fall in zip(reversed(up), reversed(down), strict=True))
-        moved, gained, acceleration = (
-            self.acceleration * share + self.peak * other for share, other in zip(first, then, strict=True)
-        )
-        return Reference(self.position + self.velocity * t + moved, self.velocity + gained, acceleration)
+        if isinstance(time_s, float):
+            position, velocity, acceleration = self.state(time_s)
+            return Reference(np.array(position), np.array(velocity), np.array(acceleration))
+        times = np.asarray(time_s, dtype=float)
+        states = np.array([self.state(t) for t in times.ravel().tolist()])
+        position, velocity, acceleration = np.moveaxis(states.reshape(*times.shape, 3, 3), -2, 0)
+        return Reference(position, velocity, acceleration)
+
+    def state(self, time_s: float) -> tuple[Triple, Triple, Triple]:
+        """Position, velocity and acceleration at one time, in plain numbers."""
+        t = max(time_s, 0.0)
+        for piece in reversed(self.pieces):
+            if t >= piece.begins_s:
+                break
+        return piece.after(t - piece.begins_s)
 
     def displacement(self, slot_s: float) -> Vector:
         """Planned displacement [m] after `slot_s`."""
-        return self.at(slot_s).position - self.position
+        return np.subtract(self.state(slot_s)[0], self.position)
+
+    def extent(self, until_s: float) -> tuple[Triple, Triple]:
+        """The least and the greatest coordinates of the way until `until_s`."""
+        lows, highs = [*self.position], [*self.position]
+        ends = [*[piece.begins_s for piece in self.pieces[1:]], math.inf]
+        for piece, end_s in zip(self.pieces, ends, strict=True):
+            left_s = (end_s if end_s < until_s else until_s) - piece.begins_s
+            if left_s <= 0.0:
+                continue
+            _, _, velocity, acceleration, jerk = piece
+            places, paces, _ = piece.after(left_s)
+            for axis in AXES:
+                reached = [places[axis]]
+                a, j = acceleration[axis], jerk[axis]
+                if velocity[axis] * paces[axis] <= 0.0 or a * (a + left_s * j) < 0.0:
+                    reached += piece.turns(axis, left_s)
+                for place in reached:
+                    if place < lows[axis]:
+                        lows[axis] = place
+                    elif place > highs[axis]:
+                        highs[axis] = place
+        return (lows[0], lows[1], lows[2]), (highs[0], highs[1], highs[2])
+
+    @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Both ramps, what is held between them, and the coasting; none of no duration."""
+        pieces = []
+        begins_s, position, velocity = 0.0, self.position, self.velocity
+        for duration_s, before, after in (
+            (self.ramp_up_s, self.acceleration, self.peak),
+            (self.hold_s, self.peak, self.peak),
+            (self.ramp_down_s, self.peak, NOTHING),
+        ):
+            if duration_s > 0.0:
+                (ax, ay, az), (bx, by, bz) = before, after
+                jerk = ((bx - ax) / duration_s, (by - ay) / duration_s, (bz - az) / duration_s)
+                pieces.append(Piece(begins_s, position, velocity, before, jerk))
+                position, velocity, _ = pieces[-1].after(duration_s)
+                begins_s += duration_s
+        return (*pieces, Piece(begins_s, position, velocity, NOTHING, NOTHING))
 
 
 def reach(
@@ -114,256 +196,134 @@ def reach(
     `acceleration` is a limit [m/s2] of any direction, or an `Agility`. `velocity`, and where the jerk limit lets it
     settle from `initial_acceleration`, should lie within the speed limits: then so does every velocity of the profile.
     """
-    agility = acceleration if isinstance(acceleration, Agility) else Agility(acceleration)
-    wanted = _within_speed(displacement, slot_s, limits)
+    axes = _Axes(position, velocity, acceleration, initial_acceleration)
+    commanded = triple(displacement)
+    wanted = _within_speed(commanded, slot_s, limits)
     limited_by = []
-    if not np.array_equal(wanted[:2], displacement[:2]):
+    if wanted[:2] != commanded[:2]:
         limited_by.append("speed")
-    if wanted[2] != displacement[2]:
+    if wanted[2] != commanded[2]:
         limited_by.append("climb")
 
-    start = _Start(position, velocity, initial_acceleration, agility)
-    pulse, reached = start.pulse_to_place(wanted, slot_s)
+    start = axes.start
+    pulse, reached = start.to_place(axes.stretched(wanted), slot_s)
     if not reached:
         limited_by.append("acceleration")
-    settled, change = start.settled_velocity, pulse.end_velocity - start.settled_velocity
-    size = float(np.linalg.norm(change))
+    settled, end = axes.real(start.settled_velocity), axes.real(start.end_velocity(pulse))
+    size = math.dist(end, settled)
     if size > 1e-9:
-        room = _speed_room(settled, change / size, limits)
+        direction = (end[0] - settled[0]) / size, (end[1] - settled[1]) / size, (end[2] - settled[2]) / size
+        room = _speed_room(settled, direction, limits)
         if room < size - 1e-9:
             limited_by.append("speed")
-            pulse = start.pulse_to_velocity(settled + change * (room / size))
-        if not pulse.straight and _fast(pulse.profile(()), limits):  # a turn may swing out beyond both its ends
+            end = _between(settled, end, room / size)
+            pulse = start.to_velocity(axes.stretched(end))
+        if not start.straight(pulse) and (excess := _too_fast(axes.profile(pulse), limits)) > 0.0:  # on its way
+
+            def too_fast(share: float) -> float:
+                return _too_fast(axes.profile(start.to_velocity(axes.stretched(_between(settled, end, share)))), limits)
+
             limited_by.append("speed")
-            pulse = start.calmed(pulse, lambda track: _fast(track, limits))
-    return pulse.profile(tuple(dict.fromkeys(limited_by)))
+            share = largest_share(too_fast, excess, CALM)
+            pulse = start.to_velocity(axes.stretched(_between(settled, end, share)))
+    return axes.profile(pulse, tuple(dict.fromkeys(limited_by)))
 
 
 def brake(
-    position: Vector, velocity: Vector, acceleration: float | Agility, initial_acceleration: Vector | None = None
+    position: Vector | Triple,
+    velocity: Vector | Triple,
+    acceleration: float | Agility,
+    initial_acceleration: Vector | Triple | None = None,
 ) -> SlotProfile:
     """The planned hold: to rest as fast as `acceleration` [m/s2], or an `Agility`, lets it, and there for ever.
 
     Without a jerk limit that is a straight line.
     """
-    agility = acceleration if isinstance(acceleration, Agility) else Agility(acceleration)
-    return _Start(position, velocity, initial_acceleration, agility).pulse_to_velocity(np.zeros(3)).profile(())
+    axes = _Axes(position, velocity, acceleration, initial_acceleration)
+    return axes.profile(axes.start.to_velocity(NOTHING))
 
 
-@dataclass(frozen=True)
-class _Pulse:
-    """A pulse of acceleration in stretched axes, for a vehicle that starts so."""
+class _Axes:
+    """A start, and the vertical axis stretched so that the limits are spheres."""
 
-    start: "_Start"
-    peak: Vector
-    ramp_up_s: float
-    hold_s: float
-    ramp_down_s: float
-
-    @property
-    def end_velocity(self) -> Vector:
-        gained: Vector = self.start.acceleration * (self.ramp_up_s / 2) + self.peak * (
-            self.ramp_up_s / 2 + self.hold_s + self.ramp_down_s / 2
+    def __init__(
+        self,
+        position: Vector | Triple,
+        velocity: Vector | Triple,
+        acceleration: float | Agility,
+        initial_acceleration: Vector | Triple | None,
+    ) -> None:
+        agility = acceleration if isinstance(acceleration, Agility) else Agility(acceleration)
+        settles = initial_acceleration is not None and agility.jerk < math.inf  # without a jerk limit it may jump
+        self._share = agility.vertical_share
+        self._position, self._velocity = triple(position), triple(velocity)
+        self._acceleration = triple(initial_acceleration) if settles and initial_acceleration is not None else NOTHING
+        self.start = Start(
+            self.stretched(self._velocity), self.stretched(self._acceleration), agility.acceleration, agility.jerk
         )
-        velocity: Vector = self.start.velocity + gained * self.start.axes
-        return velocity
 
-    @property
-    def straight(self) -> bool:
-        """Whether every velocity lies between the first and the last."""
-        return self.ramp_up_s == 0.0 or not self.start.acceleration.any()
+    def stretched(self, vector: Triple) -> Triple:
+        return vector[0], vector[1], vector[2] / self._share
 
-    def profile(self, limited_by: tuple[str, ...]) -> SlotProfile:
-        start = self.start
+    def real(self, vector: Triple) -> Triple:
+        return vector[0], vector[1], vector[2] * self._share
+
+    def profile(self, pulse: Pulse, limited_by: tuple[str, ...] = ()) -> SlotProfile:
         return SlotProfile(
-            start.position,
-            start.velocity,
-            start.acceleration * start.axes,
-            self.peak * start.axes,
-            self.ramp_up_s,
-            self.hold_s,
-            self.ramp_down_s,
+            self._position,
+            self._velocity,
+            self._acceleration,
+            self.real(pulse.peak),
+            pulse.ramp_up_s,
+            pulse.hold_s,
+            pulse.ramp_down_s,
             limited_by,
         )
 
 
-class _Start:
-    """Where a profile starts, and how it may go on. Accelerations in here are in stretched axes."""
-
-    def __init__(self, position: Vector, velocity: Vector, acceleration: Vector | None, agility: Agility) -> None:
-        self.axes = np.array([1.0, 1.0, agility.vertical_share])
-        self.position, self.velocity = position, velocity
-        self._most, self._jerk = agility.acceleration, agility.jerk
-        self.acceleration: Vector = np.zeros(3)
-        if acceleration is not None and math.isfinite(self._jerk):  # without a jerk limit it may jump
-            self.acceleration = acceleration / self.axes
-
-    @property
-    def settled_velocity(self) -> Vector:
-        """Once the acceleration has gone to zero straight."""
-        size = float(np.linalg.norm(self.acceleration))
-        velocity: Vector = self.velocity + self.acceleration * self.axes * (size / (2 * self._jerk))
-        return velocity
-
-    def pulse_to_velocity(self, velocity: Vector) -> _Pulse:
-        """The shortest pulse that ends at `velocity`."""
-        most, jerk = self._most, self._jerk
-        change = (velocity - self.velocity) / self.axes
-
-        def peak(ramp_s: float) -> tuple[Vector, float, float]:
-            rest = change - self.acceleration * (ramp_s / 2)
-            size = float(np.linalg.norm(rest))
-            if size < 1e-12:
-                return np.zeros(3), 0.0, 0.0
-            unheld = math.inf
-            if math.isfinite(jerk):
-                unheld = jerk * ((ramp_s * ramp_s / 4 + 2 * size / jerk) ** 0.5 - ramp_s / 2)
-            strength = min(most, unheld)
-            hold_s = max(0.0, size / strength - ramp_s / 2 - strength / (2 * jerk))
-            return rest * (strength / size), hold_s, strength / jerk
-
-        return self._pulse(peak, math.inf)[0]
-
-    def pulse_to_place(self, displacement: Vector, slot_s: float) -> tuple[_Pulse, bool]:
-        """The shortest pulse that makes `displacement` in `slot_s`, or comes nearest; whether it does make it."""
-        most, jerk = self._most, self._jerk
-        missing = (displacement - self.velocity * slot_s) / self.axes
-
-        def peak(ramp_s: float) -> tuple[Vector, float, float]:
-            whole = _ramp_area(slot_s, ramp_s)
-            rest = missing - self.acceleration * (slot_s * slot_s / 2 - whole)
-            size = float(np.linalg.norm(rest))
-            if size < 1e-9:
-                return np.zeros(3), 0.0, 0.0
-            left_s = slot_s - ramp_s
-
-            def made(strength: float) -> float:
-                return strength * (whole - _ramp_area(left_s, strength / jerk)) - size
-
-            if made(most) > 0.0 and most / jerk > 0.0:  # no need to hold the most there is
-                strength = _root(made, 0.0, most)
-                return rest * (strength / size), 0.0, strength / jerk
-            down_s = most / jerk
-            area = max(0.0, whole - size / most)  # what the way back must leave away
-            if area >= down_s * down_s / 6:
-                coast_s = down_s / 2 + max(0.0, 2 * area - down_s * down_s / 12) ** 0.5
-            else:
-                coast_s = (6 * down_s * area) ** (1 / 3)
-            return rest * (most / size), max(0.0, left_s - coast_s), down_s
-
-        pulse, missed = self._pulse(peak, slot_s)
-        made = pulse.profile(()).displacement(slot_s) - displacement
-        return pulse, missed < 1e-6 and float(np.linalg.norm(made)) < 1e-6
-
-    def calmed(self, pulse: _Pulse, fast: Callable[[SlotProfile], bool]) -> _Pulse:
-        """`pulse`, drawn towards the settled velocity by as little as makes it not `fast`."""
-        settled, end = self.settled_velocity, pulse.end_velocity
-        good, low, high = self.pulse_to_velocity(settled), 0.0, 1.0
-        for _ in range(TRIALS):
-            share = (low + high) / 2
-            trial = self.pulse_to_velocity(settled + (end - settled) * share)
-            if fast(trial.profile(())):
-                high = share
-            else:
-                low, good = share, trial
-        return good
-
-    def _pulse(self, peak: Callable[[float], tuple[Vector, float, float]], within_s: float) -> tuple[_Pulse, float]:
-        """The pulse whose way from the acceleration at the start to `peak(ramp_s)` takes just `ramp_s`.
-
-        There is one, because the peak depends on the ramp continuously and no way is longer than from limit to limit.
-        A ramp longer than `within_s` is cut off; by how much [m/s2] is told.
-        """
-        size = float(np.linalg.norm(self.acceleration))
-        longest_s = min(within_s, (size + self._most) / self._jerk * (1 + 1e-9))
-
-        def late_s(ramp_s: float) -> float:
-            return float(np.linalg.norm(peak(ramp_s)[0] - self.acceleration)) / self._jerk - ramp_s
-
-        missed = late_s(longest_s)
-        if missed > 0.0 and longest_s > 0.0:
-            towards = peak(longest_s)[0] - self.acceleration
-            cut = self.acceleration + towards * (longest_s * self._jerk / float(np.linalg.norm(towards)))
-            return _Pulse(self, cut, longest_s, 0.0, float(np.linalg.norm(cut)) / self._jerk), missed * self._jerk
-        ramp_s = _root(lambda s: -late_s(s), 0.0, longest_s) if longest_s > 0.0 else 0.0
-        top, hold_s, down_s = peak(ramp_s)
-        return _Pulse(self, top, ramp_s, hold_s, down_s), 0.0
+def triple(vector: Vector | Triple) -> Triple:
+    """In plain numbers."""
+    x, y, z = vector if isinstance(vector, tuple) else vector.tolist()
+    return x, y, z
 
 
-def _ramp(t: Vector, ramp_s: float) -> tuple[Vector, Vector, Vector]:
-    """A ramp from 0 to 1 over `ramp_s` from t = 0 on, its integral, and the integral of that."""
-    begun = t >= 0.0
-    t = np.maximum(t, 0.0)
-    if ramp_s <= 0.0:
-        return np.where(begun, 1.0, 0.0), t, t * t / 2
-    u = np.minimum(t, ramp_s)
-    after = t - u
-    speed = u * u / (2 * ramp_s) + after
-    return u / ramp_s, speed, u**3 / (6 * ramp_s) + after * ramp_s / 2 + after * after / 2
+def _between(a: Triple, b: Triple, share: float) -> Triple:
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
 
 
-def _ramp_area(t: float, ramp_s: float) -> float:
-    """The ramp's double integral at one time t >= 0."""
-    if t < ramp_s:
-        return t**3 / (6 * ramp_s)
-    return t * t / 2 - ramp_s * t / 2 + ramp_s * ramp_s / 6
-
-
-def _root(rising: Callable[[float], float], low: float, high: float) -> float:
-    """A root between `low`, where the function is below zero, and `high`, where it is not (regula falsi, Illinois)."""
-    at_low, at_high = rising(low), rising(high)
-    if at_low >= 0.0:
-        return low
-    side = 0
-    for _ in range(ROUNDS):
-        if high - low < 1e-13 * max(1.0, high):
-            break
-        middle = (low * at_high - high * at_low) / (at_high - at_low)
-        value = rising(middle)
-        if abs(value) < 1e-14:
-            return middle
-        if value < 0.0:
-            low, at_low = middle, value
-            at_high = at_high / 2 if side == -1 else at_high
-            side = -1
-        else:
-            high, at_high = middle, value
-            at_low = at_low / 2 if side == 1 else at_low
-            side = 1
-    return high
-
-
-def _fast(track: SlotProfile, limits: SpeedLimits) -> bool:
-    """Whether a velocity of the pulse may be beyond the limits.
+def _too_fast(track: SlotProfile, limits: SpeedLimits) -> float:
+    """By how much a velocity of the pulse may be beyond the limits [m/s]; not above 0 when none is.
 
     Only on the first ramp do velocities not run straight, but along a parabola, here in `PIECES`: each lies within the
     triangle of its ends and the point where their tangents meet.
     """
-    step_s = track.ramp_up_s / PIECES
-    at = track.at(np.append(np.arange(PIECES + 1) * step_s, track.duration_s))
-    v = np.concatenate([at.velocity, at.velocity[:-2] + at.acceleration[:-2] * (step_s / 2)])
-    horizontal = np.hypot(v[:, 0], v[:, 1]).max()
-    return bool(
-        horizontal > limits.horizontal + 1e-9 or v[:, 2].max() > limits.up + 1e-9 or -v[:, 2].min() > limits.down + 1e-9
-    )
+    ramp, step_s = track.pieces[0], track.ramp_up_s / PIECES
+    velocities = [track.pieces[-1].velocity]
+    for number in range(PIECES):
+        _, (x, y, z), (ax, ay, az) = ramp.after(number * step_s)
+        velocities += [(x, y, z), (x + ax * step_s / 2, y + ay * step_s / 2, z + az * step_s / 2)]
+    velocities.append(ramp.after(track.ramp_up_s)[1])
+    horizontal = math.sqrt(max([x * x + y * y for x, y, _ in velocities])) - limits.horizontal
+    climbs = [z for _, _, z in velocities]
+    return max(horizontal, max(climbs) - limits.up, -min(climbs) - limits.down) - 1e-9
 
 
-def _within_speed(displacement: Vector, slot_s: float, limits: SpeedLimits) -> Vector:
+def _within_speed(displacement: Triple, slot_s: float, limits: SpeedLimits) -> Triple:
     """Horizontal part shortened to what its limit allows in a slot, vertical part clipped to its own."""
-    horizontal, furthest = float(np.hypot(displacement[0], displacement[1])), limits.horizontal * slot_s
+    east, north, up = displacement
+    horizontal, furthest = math.hypot(east, north), limits.horizontal * slot_s
     shorter = furthest / horizontal if horizontal > furthest else 1.0
-    climb = np.clip(displacement[2], -limits.down * slot_s, limits.up * slot_s)
-    return np.array([displacement[0] * shorter, displacement[1] * shorter, climb])
+    return east * shorter, north * shorter, min(max(up, -limits.down * slot_s), limits.up * slot_s)
 
 
-def _speed_room(velocity: Vector, direction: Vector, limits: SpeedLimits) -> float:
+def _speed_room(velocity: Triple, direction: Triple, limits: SpeedLimits) -> float:
     """The largest s for which velocity + s * direction is within the limits; infinite when velocity itself is not."""
     vx, vy, vz = velocity
     ux, uy, uz = direction
     spare = limits.horizontal**2 - vx * vx - vy * vy
     if spare < -1e-9 or not -limits.down - 1e-9 <= vz <= limits.up + 1e-9:
-        return float("inf")
-    room = float("inf")
+        return math.inf
+    room = math.inf
     if uz > 1e-12:
         room = max(0.0, (limits.up - vz) / uz)
     elif uz < -1e-12:
@@ -371,4 +331,4 @@ def _speed_room(velocity: Vector, direction: Vector, limits: SpeedLimits) -> flo
     along, across = vx * ux + vy * uy, ux * ux + uy * uy
     if across > 1e-12:
         room = min(room, (-along + (along * along + across * max(spare, 0.0)) ** 0.5) / across)
-    return float(room)
+    return room

@@ -1,21 +1,26 @@
 """A slot's action as a profile that stays in the scenario's box and can still stop inside it."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from airframe.slot_profile import SlotProfile, Vector, brake, reach
+from airframe.pulse import Triple
+from airframe.search import largest_share
+from airframe.slot_profile import Agility, SlotProfile, Vector, brake, reach
 from autopilot_bridge.config import Limits
-from autopilot_bridge.envelope import stopping_point
-from autopilot_bridge.fence import Box
+from autopilot_bridge.fence import TOUCH_M, Box
 
-SAMPLES = 21
-"""Instants of a slot at which the profile is checked against the box, and of a stop."""
-STOPS = 3
+INSTANTS = 12
+"""Of a pulse, at which a straight stop is checked against the box; after it the stops' ends lie on a line."""
+HOLDS = 3
 """Instants from the slot's end to the next action's deadline at which a hold may begin, as far as it is checked."""
-BISECTIONS = 14
+NEAR_M = 0.01
+"""A blend this near to the box is near enough."""
+
+Out = tuple[float, float, float]
+"""How far outside the box something gets along each axis [m]; 0 inside."""
 
 
 @dataclass(frozen=True)
@@ -44,64 +49,80 @@ def plan_slot(
     allowed, since the last slot's plan has kept room for it. A vehicle that cannot stop inside any more (blown or taken
     out) may go no further out.
     """
-    agility = limits.agility
-    jerky = limits.jerk_mps3 is not None
-    times = np.linspace(0.0, slot_s + reaction_s, SAMPLES)
-    begins = np.linspace(slot_s, slot_s + reaction_s, STOPS)
+    agility, speeds = limits.agility, limits.speeds
+    until_s = slot_s + reaction_s
     hold = brake(position, velocity, agility, acceleration)
-    for point in _way(hold) if jerky else stopping_point(position, velocity, limits, reaction_s)[None]:
-        x, y, z = point.tolist()
-        box = box.hull((x, y, z))
+    jerky = limits.jerk_mps3 is not None
+    corners = hold.extent(hold.duration_s) if jerky else [_stop(hold.position, hold.velocity, limits, reaction_s)]
+    for corner in corners:
+        box = box.hull(corner)
+    low, high = zip(*box.spans, strict=True)
 
     def profile_of(candidate: Vector) -> SlotProfile:
-        return reach(position, velocity, candidate, slot_s, agility, limits.speeds, acceleration)
+        return reach(position, velocity, candidate, slot_s, agility, speeds, acceleration)
 
-    def in_the_way(candidate: Vector) -> NDArray[np.bool_]:
+    def gets_out(candidate: Vector) -> Out:
         profile = profile_of(candidate)
-        track = profile.at(times)
-        if not jerky:  # stops are straight: their ends tell
-            return outside(box, stopping_point(track.position, track.velocity, limits))
-        stops = [brake(*instant[:2], agility, instant[2]) for instant in zip(*profile.at(begins), strict=True)]
-        return outside(box, np.concatenate([track.position, *map(_way, stops)]))
+        stops = _holds(profile, slot_s, until_s, agility) if jerky else _stops(profile, until_s, limits)
+        east, north, up = (
+            max(0.0, bottom - min(coordinates), max(coordinates) - top)
+            for bottom, top, *coordinates in zip(low, high, *profile.extent(until_s), *stops, strict=True)
+        )
+        return east, north, up
 
     held = hold.displacement(slot_s)
-    allowed = nearest_inside(displacement, held, in_the_way)
+    allowed = nearest_inside(displacement, held, gets_out)
     if allowed is held:
         return Planned(hold, ("box",))
     profile = profile_of(allowed)
     return Planned(profile, (*profile.limited_by, *(("box",) if allowed is not displacement else ())))
 
 
-def outside(box: Box, points: Vector) -> NDArray[np.bool_]:
-    """Per axis, whether any of the `points` (..., 3) is outside; shape (3,)."""
-    low, high = np.array(box.spans).T
-    flat = points.reshape(-1, 3)
-    return np.asarray(((flat < low - 1e-6) | (flat > high + 1e-6)).any(axis=0))
-
-
-def nearest_inside(wanted: Vector, fallback: Vector, in_the_way: Callable[[Vector], NDArray[np.bool_]]) -> Vector:
+def nearest_inside(wanted: Vector, fallback: Vector, gets_out: Callable[[Vector], Out]) -> Vector:
     """`wanted` itself when nothing is in the way; else blended with `fallback`, as little as needed.
 
-    Only along the axes in the way if that helps, else along all. `in_the_way(candidate)` tells per axis. When even
-    `fallback` is blocked it is returned all the same: there is nothing better.
+    Only along the axes in the way if that helps, else along all. `gets_out(candidate)` tells how far, per axis. When
+    even `fallback` gets out it is returned all the same: there is nothing better.
     """
-    blocked = in_the_way(wanted)
-    if not blocked.any():
+    out = gets_out(wanted)
+    if max(out) <= TOUCH_M:
         return wanted
-    for target in (np.where(blocked, fallback, wanted), fallback):
-        if in_the_way(target).any():
+    for target in (np.where(np.array(out) > TOUCH_M, fallback, wanted), fallback):
+        if max(gets_out(target)) > TOUCH_M:
             continue
-        good, bad = 0.0, 1.0
-        for _ in range(BISECTIONS):
-            share = (good + bad) / 2
-            if in_the_way(target + share * (wanted - target)).any():
-                bad = share
-            else:
-                good = share
-        return target + good * (wanted - target)
+        way = wanted - target
+        tolerance = NEAR_M / max(float(np.abs(way).max()), NEAR_M)
+
+        def beyond_m(share: float, to: Vector = target, way: Vector = way) -> float:
+            return max(gets_out(to + share * way)) - TOUCH_M
+
+        return target + largest_share(beyond_m, max(out), tolerance) * way
     return fallback
 
 
-def _way(hold: SlotProfile) -> Vector:
-    """Points of a hold until it is at rest, shape (SAMPLES, 3)."""
-    return hold.at(np.linspace(0.0, hold.duration_s, SAMPLES)).position
+def _stops(profile: SlotProfile, until_s: float, limits: Limits) -> Iterator[Triple]:
+    """Where straight stops end that begin on the profile. What is between them and it, a box holds too."""
+    for number in range(INSTANTS + 1):
+        position, velocity, _ = profile.state(profile.duration_s * number / INSTANTS)
+        yield _stop(position, velocity, limits, 0.0)
+    position, velocity, _ = profile.state(until_s)
+    yield _stop(position, velocity, limits, 0.0)
+
+
+def _holds(profile: SlotProfile, slot_s: float, until_s: float, agility: Agility) -> Iterator[Triple]:
+    """The corners of what holds need that begin between the slot's end and `until_s`.
+
+    When the vehicle only coasts by then, all of them are alike: the first and the last tell.
+    """
+    count = 2 if profile.duration_s <= slot_s else HOLDS
+    for number in range(count):
+        position, velocity, acceleration = profile.state(slot_s + (until_s - slot_s) * number / (count - 1))
+        hold = brake(position, velocity, agility, acceleration)
+        yield from hold.extent(hold.duration_s)
+
+
+def _stop(position: Triple, velocity: Triple, limits: Limits, reaction_s: float) -> Triple:
+    """Where a vehicle comes to rest that brakes straight after `reaction_s`."""
+    (x, y, z), (vx, vy, vz) = position, velocity
+    needed_s = reaction_s + math.hypot(math.hypot(vx, vy) / limits.acceleration_mps2, vz / limits.vertical_mps2) / 2
+    return x + vx * needed_s, y + vy * needed_s, z + vz * needed_s
