@@ -8,17 +8,19 @@ import socket
 import struct
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from autopilot_bridge.bell import Bell
 from autopilot_bridge.config import endpoint
+from autopilot_bridge.flight_log import FlightLog
 from autopilot_bridge.roll_call import RollCall
 from autopilot_bridge.signing import Signing, is_signed
 from autopilot_bridge.url import parse_url
-from autopilot_bridge.wire import Sender, WireError, frames, open_wire
+from autopilot_bridge.wire import Sender, WireError, frames, header, open_wire
 
 OWN_SYSTEM = 245
 """Ours; 1 is the vehicle's, 255 the ground station's."""
@@ -39,15 +41,16 @@ def untouched(datagram: bytes) -> Iterable[bytes]:
 class Link:
     """MAVLink 2 over one wire (UDP, TCP, serial), both directions logged.
 
-    The log is a `.tlog`: per frame 8 bytes of big-endian microseconds since 1970, then the frame. Writes are not
-    buffered, so what was exchanged is in the file even when the process is killed. Time stamps are the wall time of
-    the first telemetry plus vehicle time since, so that a flight in lockstep is logged at its own pace.
+    What was exchanged is in the flight log before anything is made of it, even when the process is killed. Its time
+    stamps are the wall time of the first telemetry plus vehicle time since, so that a flight in lockstep is logged at
+    its own pace.
 
     With `signing` every frame sent by `send` is signed, and only frames signed with the same key are heard; the rest
     is counted as `unsigned`, `bad_signature` or `replayed`.
 
     Args: `url` as `parse_url` takes it (udpin with port 0: any free one); `system_id` of the vehicle, all else is
-    logged and ignored; `tlog` the log to write, if any; `tamper_in`, `tamper_out` faults to inject, for tests.
+    logged and ignored; `tlog` the log to write, if any; `tamper_in`, `tamper_out` faults to inject, for tests;
+    `bell` ends a `receive` that waits.
     """
 
     def __init__(
@@ -58,12 +61,19 @@ class Link:
         tamper_in: Tamper = untouched,
         tamper_out: Tamper = untouched,
         signing: Signing | None = None,
+        bell: Bell | None = None,
     ) -> None:
         self.url = url
         self.signing = signing
         self.counters: Counter[str] = Counter()
         self.datagrams = 0
         """Datagrams received (frames, on a stream); in lockstep the SITL says how many to expect."""
+        self.heard = 0
+        """Frames of our vehicle's autopilot."""
+        self.wanted: Container[int] | None = None
+        """Ids of the messages to decode, since decoding is what costs; None: all."""
+        self.listener: Callable[[bytes], object] | None = None
+        """Is given every frame of our vehicle's autopilot, whether it is decoded or not."""
         self.roll_call = RollCall(system_id)
         self._tamper_in, self._tamper_out = tamper_in, tamper_out
         self._codec: Any = mavlink.MAVLink(
@@ -77,11 +87,11 @@ class Link:
         self._vehicle_time_s: Callable[[], float] = lambda: 0.0
         self._skipped = 0
         try:
-            self._wire = open_wire(parse_url(url))
+            self._wire = open_wire(parse_url(url), bell)
         except WireError as error:
             raise LinkError(f"autopilot {url}: {error}") from error
         try:
-            self._log = tlog.open("wb", buffering=0) if tlog is not None else None
+            self._log = FlightLog(tlog) if tlog is not None else None
         except OSError as error:
             self._wire.close()
             raise LinkError(f"flight log {tlog}: cannot be written: {error.strerror}") from error
@@ -113,18 +123,22 @@ class Link:
             except OSError:
                 self.counters["send_failed"] += 1
         self.counters["frames_out"] += 1
-        self._write(frame)
+        self._note(frame)
+        self._write()
 
     def receive(self, timeout_s: float) -> list[Any]:
-        """The vehicle's messages that have come; waits up to `timeout_s` for the first, for none after it."""
+        """The vehicle's messages that have come; waits up to `timeout_s` for the first or the bell."""
         messages: list[Any] = []
         came = self._wire.receive(timeout_s)
         self.counters["bad_data"] += self._wire.skipped - self._skipped
         self._skipped = self._wire.skipped
-        for datagram, sender in came:
-            self.datagrams += 1
-            for arrived in self._tamper_in(datagram):
-                messages.extend(self._decode(arrived, sender))
+        try:
+            for datagram, sender in came:
+                self.datagrams += 1
+                for arrived in self._tamper_in(datagram):
+                    messages.extend(self._decode(arrived, sender))
+        finally:
+            self._write()
         return messages
 
     def close(self) -> None:
@@ -137,33 +151,53 @@ class Link:
         for frame in frames(datagram):
             understood += len(frame)
             self.counters["frames_in"] += 1
-            self._write(frame)
-            try:
-                message = self._decoder.decode(bytearray(frame))
-            except (mavlink.MAVError, struct.error):
-                self.counters["bad_data"] += 1
-                continue
+            self._note(frame)
             refusal = self.signing.refusal(frame) if self.signing is not None else ""
             if refusal:
                 self.counters[refusal] += 1
                 continue
-            if not self.roll_call.hear(message, sender):
-                self.counters["foreign"] += 1
-                continue
-            self.counters["signed"] += is_signed(frame)
-            self._wire.answer(sender)
-            yield message
+            yield from self._hear(frame, sender)
         if understood < len(datagram):
             self.counters["bad_data"] += 1
 
-    def _write(self, frame: bytes) -> None:
-        if self._log is None:
+    def _hear(self, frame: bytes, sender: Sender) -> Iterator[Any]:
+        """The message of a frame, if it is our vehicle's and wanted. Of others only HEARTBEATs are decoded."""
+        if frame[0] == mavlink.PROTOCOL_MARKER_V2 and frame[2] & ~mavlink.MAVLINK_IFLAG_SIGNED:
+            self.counters["bad_data"] += 1  # of a MAVLink that we do not know
             return
-        stamp = self._opened_us + round(self._vehicle_time_s() * 1e6)
-        try:
-            self._log.write(struct.pack(">Q", stamp) + frame)
-        except OSError:
-            self.counters["log_failed"] += 1  # a full disk must not take the vehicle down with it
+        system, component, number = header(frame)
+        beat = number == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        ours = self.roll_call.is_vehicle(system, component)
+        message = None
+        if beat or (ours and (self.wanted is None or number in self.wanted)):
+            try:
+                message = self._decoder.decode(bytearray(frame))
+            except (mavlink.MAVError, struct.error):
+                self.counters["bad_data"] += 1
+                return
+        if beat:
+            ours = self.roll_call.hear(message) and ours
+        if not ours:
+            self.counters["foreign"] += 1
+        elif not self.roll_call.is_its_voice(sender, time.monotonic()):
+            self.counters["rival"] += 1
+        else:
+            self.heard += 1
+            self.counters["signed"] += is_signed(frame)
+            self._wire.answer(sender)
+            if self.listener is not None:
+                self.listener(frame)
+            if message is not None:
+                yield message
+
+    def _note(self, frame: bytes) -> None:
+        if self._log is not None:
+            self._log.add(self._opened_us + round(self._vehicle_time_s() * 1e6), frame)
+
+    def _write(self) -> None:
+        """A full disk must not take the vehicle down with it."""
+        if self._log is not None:
+            self.counters["log_failed"] += self._log.write()
 
 
 class ControlLine:

@@ -13,11 +13,14 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from autopilot_bridge.bell import Bell
 from autopilot_bridge.url import Address, Serial, Tcp, Udp
 
 RECEIVE_BUFFER = 4 * 1024 * 1024
 """[bytes] A lockstep step's telemetry waits here whole."""
 CHUNK = 65536
+MOST_AT_ONCE = 500
+"""Datagrams of one `receive`: who floods us must not keep us from flying."""
 CONNECT_WALL_S = 5.0
 """How long a TCP server may take to be there."""
 REOPEN_WALL_S = 1.0
@@ -41,7 +44,7 @@ class Wire(Protocol):
     """Runs of bytes on a stream that were no frame."""
 
     def receive(self, timeout_s: float) -> list[tuple[bytes, Sender]]:
-        """What has come, a frame or a datagram each; waits up to `timeout_s` for the first, for none after it."""
+        """What has come, a frame or a datagram each; waits up to `timeout_s` for the first or the bell."""
 
     def answer(self, sender: Sender) -> None:
         """Send to this sender from now on, where that is a choice."""
@@ -53,15 +56,30 @@ class Wire(Protocol):
         """Release it."""
 
 
-def open_wire(address: Address) -> Wire:
-    """Open it. Raises WireError."""
+def open_wire(address: Address, bell: Bell | None = None) -> Wire:
+    """Open it; `bell` ends a `receive` that waits. Raises WireError."""
     match address:
         case Udp():
-            return UdpWire(address)
+            return UdpWire(address, bell)
         case Tcp():
-            return StreamWire(TcpStream(address.host, address.port))
+            return StreamWire(TcpStream(address.host, address.port, bell))
         case Serial():
-            return StreamWire(SerialStream(address.device, address.baud))
+            return StreamWire(SerialStream(address.device, address.baud, bell))
+
+
+class Readable(Protocol):
+    """What `select` takes."""
+
+    def fileno(self) -> int:
+        """Its file descriptor."""
+
+
+def _ready(source: Readable, bell: Bell | None, timeout_s: float) -> bool:
+    """Wait for `source` or for the bell; whether there is something to read."""
+    readable, _, _ = select.select([source] if bell is None else [source, bell], [], [], max(timeout_s, 0.0))
+    if bell is not None and bell in readable:
+        bell.silence()
+    return source in readable
 
 
 class UdpWire:
@@ -69,7 +87,8 @@ class UdpWire:
 
     skipped = 0
 
-    def __init__(self, address: Udp) -> None:
+    def __init__(self, address: Udp, bell: Bell | None) -> None:
+        self._bell = bell
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         listens = address.scheme == "udpin"
@@ -83,20 +102,21 @@ class UdpWire:
         except OSError as error:
             self._socket.close()
             raise WireError(f"cannot {'listen' if listens else 'send'} there: {error.strerror or error}") from error
+        self._socket.setblocking(False)
         self.port: int = self._socket.getsockname()[1]
 
     def receive(self, timeout_s: float) -> list[tuple[bytes, Sender]]:
         came: list[tuple[bytes, Sender]] = []
-        self._socket.settimeout(max(timeout_s, 1e-4))
-        while True:
+        if not _ready(self._socket, self._bell, timeout_s):
+            return came
+        while len(came) < MOST_AT_ONCE:
             try:
-                datagram, sender = self._socket.recvfrom(CHUNK)
-            except (TimeoutError, BlockingIOError):
-                return came
+                came.append(self._socket.recvfrom(CHUNK))
             except ConnectionRefusedError:  # nobody listens there yet, says the answer to what we sent
                 continue
-            self._socket.settimeout(0)
-            came.append((datagram, sender))
+            except BlockingIOError:
+                break
+        return came
 
     def answer(self, sender: Sender) -> None:
         self._peer = sender
@@ -199,8 +219,8 @@ class StreamWire:
 class TcpStream:
     """A TCP connection of ours to a server."""
 
-    def __init__(self, host: str, port: int) -> None:
-        self._address = (host, port)
+    def __init__(self, host: str, port: int, bell: Bell | None) -> None:
+        self._address, self._bell = (host, port), bell
         self._patience_s = CONNECT_WALL_S
         self._socket: socket.socket
 
@@ -220,8 +240,7 @@ class TcpStream:
         return int(self._socket.getsockname()[1])
 
     def read(self, timeout_s: float) -> bytes:
-        readable, _, _ = select.select([self._socket], [], [], timeout_s)
-        if not readable:
+        if not _ready(self._socket, self._bell, timeout_s):
             return b""
         data = self._socket.recv(CHUNK)
         if not data:
@@ -241,8 +260,8 @@ class TcpStream:
 class SerialStream:
     """A serial line."""
 
-    def __init__(self, device: str, baud: int) -> None:
-        self._device, self._baud = device, baud
+    def __init__(self, device: str, baud: int, bell: Bell | None) -> None:
+        self._device, self._baud, self._bell = device, baud, bell
         self._line: Any
 
     def open(self) -> int:
@@ -255,10 +274,7 @@ class SerialStream:
         return 0
 
     def read(self, timeout_s: float) -> bytes:
-        self._line.timeout = timeout_s
-        first: bytes = self._line.read(1)
-        self._line.timeout = 0
-        return first + bytes(self._line.read(CHUNK)) if first else b""
+        return bytes(self._line.read(CHUNK)) if _ready(self._line, self._bell, timeout_s) else b""
 
     def write(self, data: bytes) -> int:
         return int(self._line.write(data) or 0)
@@ -324,6 +340,13 @@ def _checksum_extras() -> dict[int, int]:
     from pymavlink.dialects.v20 import ardupilotmega
 
     return {number: message.crc_extra for number, message in ardupilotmega.mavlink_map.items()}
+
+
+def header(frame: bytes) -> tuple[int, int, int]:
+    """System, component and message id of a whole frame."""
+    if frame[0] == mavlink.PROTOCOL_MARKER_V2:
+        return frame[5], frame[6], int.from_bytes(frame[7:10], "little")
+    return frame[3], frame[4], frame[5]
 
 
 def frames(data: bytes) -> Iterator[bytes]:

@@ -12,7 +12,9 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
+from autopilot_bridge.bell import Bell
 from autopilot_bridge.link import ControlLine, Link, LinkError
+from autopilot_bridge.wire import MOST_AT_ONCE
 
 
 class Autopilot:
@@ -47,6 +49,14 @@ def read_log(path):
     messages = []
     while (message := log.recv_match()) is not None:
         messages.append(message)
+    return messages
+
+
+def heard(link, count):
+    """So many datagrams' messages: those of one sender come in order, others in between."""
+    messages, before = [], link.datagrams
+    while link.datagrams < before + count:
+        messages += link.receive(5.0)
     return messages
 
 
@@ -98,6 +108,109 @@ def test_bad_data_is_counted_and_the_next_frame_is_fine(link, spoil):
     time.sleep(0.05)
     assert link.receive(1.0)[-1].get_type() == "ATTITUDE"
     assert link.counters["bad_data"] == (1 if spoilt else 0)
+
+
+def test_a_stranger_with_the_vehicles_name_is_neither_heard_nor_answered(link):
+    autopilot, stranger = Autopilot(link), Autopilot(link)
+    for boot_ms in range(20):
+        autopilot.send(autopilot.frame(boot_ms))
+        stranger.send(stranger.frame(99))
+        assert [m.time_boot_ms for m in heard(link, 2)] == [boot_ms]
+        link.send(hello())
+        assert autopilot.receive()
+    assert link.counters["rival"] == 20
+    assert "both speak as system 1" in link.roll_call.objection()
+    stranger.socket.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        stranger.socket.recv(4096)
+
+
+def test_a_vehicle_that_moves_to_another_port_is_followed_once_only_it_speaks(link, monkeypatch):
+    monkeypatch.setattr("autopilot_bridge.roll_call.HANDOVER_WALL_S", 0.1)
+    before, after = Autopilot(link), Autopilot(link)
+    before.send(before.frame(1))
+    assert [m.time_boot_ms for m in heard(link, 1)] == [1]
+    after.send(after.frame(2))
+    assert heard(link, 1) == []
+    time.sleep(0.1)
+    after.send(after.frame(3))
+    assert [m.time_boot_ms for m in heard(link, 1)] == [3]
+    assert link.roll_call.objection() == ""
+    link.send(hello())
+    assert after.receive()
+    before.send(before.frame(4))  # and now the old place is the stranger's
+    assert heard(link, 1) == []
+
+
+def test_only_what_is_wanted_is_decoded_and_all_is_heard_and_logged(link, tmp_path):
+    link.wanted, passed = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME}, []
+    link.listener = passed.append
+    autopilot = Autopilot(link)
+    sent = [autopilot.frame(), mavlink.MAVLink_system_time_message(0, 7).pack(autopilot.codec)]
+    foreign = Autopilot(link, system=2)
+    autopilot.send(sent[0] + foreign.frame() + sent[1])
+    assert [m.get_type() for m in heard(link, 1)] == ["SYSTEM_TIME"]
+    assert (link.heard, link.counters["foreign"], passed) == (2, 1, sent)
+    assert len(read_log(tmp_path / "flight.tlog")) == 3
+
+
+def test_old_frames_of_mavlink_1_are_understood_and_those_of_a_mavlink_to_come_are_not(link):
+    autopilot = Autopilot(link)
+    message = mavlink.MAVLink_attitude_message(5, 0.1, 0.2, 0.3, 0, 0, 0)
+    autopilot.send(message.pack(autopilot.codec, force_mavlink1=True))
+    assert [m.time_boot_ms for m in heard(link, 1)] == [5]
+    to_come = bytearray(autopilot.frame())
+    to_come[2] = 0x02
+    autopilot.send(bytes(to_come))
+    assert heard(link, 1) == []
+    assert link.counters["bad_data"] == 1
+
+
+def test_the_bell_ends_the_waiting():
+    bell = Bell()
+    link = Link("udpin://127.0.0.1:0", 1, bell=bell)
+    threading.Timer(0.05, bell.ring).start()
+    start = time.monotonic()
+    assert link.receive(60.0) == []
+    assert time.monotonic() - start < 30
+    start = time.monotonic()
+    assert link.receive(0.05) == []  # it was heard, once
+    assert time.monotonic() - start >= 0.05
+    link.close()
+    bell.close()
+
+
+def test_a_flood_does_not_keep_us_from_flying(link):
+    flood = Autopilot(link, system=9)
+    for _ in range(MOST_AT_ONCE + 10):
+        flood.send(flood.frame())
+    time.sleep(0.05)
+    link.receive(1.0)
+    assert link.datagrams == MOST_AT_ONCE
+    link.receive(1.0)
+    assert link.datagrams == MOST_AT_ONCE + 10
+
+
+def test_a_full_disk_leaves_whole_records_and_the_log_goes_on_when_there_is_room(tmp_path):
+    program = """
+import resource, signal, socket, sys
+from pathlib import Path
+from autopilot_bridge.link import Link
+from pymavlink.dialects.v20 import common as mavlink
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+link = Link("udpin://127.0.0.1:0", 1, Path(sys.argv[1]))
+out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+for boot_ms, room in [(1, 1000), (2, 75), (3, 75), (4, 1000)]:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, 1000))
+    out.sendto(mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 1).pack(codec), ("127.0.0.1", link.port))
+    assert len(link.receive(5.0)) == 1
+print(link.counters["log_failed"])
+"""
+    path = tmp_path / "flight.tlog"
+    result = subprocess.run([sys.executable, "-c", program, str(path)], capture_output=True, text=True, timeout=60)
+    assert result.stdout == "2\n", result.stderr
+    assert [m.time_boot_ms for m in read_log(path)] == [1, 4]
 
 
 def test_the_log_runs_on_vehicle_time(link, tmp_path):
