@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from airframe.frames import ned_to_enu, yaw_ned_to_enu
 from airframe.slot_profile import Vector
-from autopilot_bridge.clock import Clock
+from autopilot_bridge.clock import WENT_BACK_S, Clock
 from autopilot_bridge.dialects import Dialect
 from autopilot_bridge.link import Link
 from autopilot_bridge.vehicle import Mode, RefusedError, SilentError, Telemetry, Vehicle, VehicleError
@@ -39,6 +39,14 @@ SHOWN_S = 6.0
 RETRY_S = 0.5
 TRIES = 6
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+HOME_MOVED_M = 1.0
+"""So far from where it was at arming it is another home."""
+TURN_MS = 1 << 32
+"""After so long, 49.7 days, time_boot_ms begins anew."""
+NEAR_MS = 60_000
+"""A time_boot_ms this near to the newest is of the same start of the autopilot."""
+OVERTAKEN = 64
+"""A frame whose number is behind the newest by less came late; one that is further behind has lost its neighbours."""
 INTEGERS = range(mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT64 + 1)
 
 
@@ -48,24 +56,49 @@ class MavlinkVehicle(Vehicle):
     `dialects` are the autopilots that are flown, by MAV_AUTOPILOT; the first HEARTBEAT chooses.
     """
 
+    read = frozenset(
+        (
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+            mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+        )
+    )
+    """Messages that are made something of; the others are only logged."""
+
     def __init__(
         self, link: Link, dialects: dict[int, Dialect], system_id: int, clock: Clock, wait: Callable[[], None]
     ) -> None:
         self.counters = link.counters
         self._link, self._dialects, self._system_id = link, dialects, system_id
         self._clock, self._wait = clock, wait
+        link.wanted = self.read
         self._known: Dialect | None = None
         self._stranger: int | None = None
         """MAV_AUTOPILOT of a HEARTBEAT that we cannot fly."""
         self._telemetry = Telemetry()
         self._home_ned: Vector = np.zeros(3)
+        self._moved_home_ned: Vector = np.zeros(3)
+        """The autopilot's, where somebody has moved it since."""
         self._home_held = False
         self._homes = 0
         self._met_s = 0.0
         """Vehicle time since which everybody on the link is listened to."""
         self._heartbeat_s = -math.inf
         """Vehicle time of the last one."""
-        self._heard = 0
+        self._boot_ms: int | None = None
+        """The newest time_boot_ms, over its turns."""
+        self._newest_s: dict[str, float] = {}
+        """Vehicle time of the newest telemetry of each kind."""
+        self._seq, self._seq_s = 0, -math.inf
+        """Number of the newest frame, and when it came (vehicle time)."""
+        self._remarks: list[str] = []
+        self._objection = ""
+        """What was last remarked of the link."""
         self._uid = ""
         self._texts: list[str] = []
         self._texts_told = 0
@@ -87,7 +120,7 @@ class MavlinkVehicle(Vehicle):
 
     @property
     def heard(self) -> int:
-        return self._heard
+        return self._link.heard
 
     @property
     def frames_received(self) -> int:
@@ -95,12 +128,19 @@ class MavlinkVehicle(Vehicle):
 
     def poll(self, timeout_s: float) -> None:
         for message in self._link.receive(timeout_s):
-            self._heard += 1
             self._take(message)
 
     def status_texts(self) -> list[str]:
         new = self._texts[self._texts_told :]
         self._texts_told = len(self._texts)
+        return new
+
+    def remarks(self) -> list[str]:
+        objection = self._link.roll_call.objection() if self._home_held else ""
+        if objection and objection != self._objection:
+            self._remarks.append(objection)
+        self._objection = objection
+        new, self._remarks = self._remarks, []
         return new
 
     def connect(self) -> None:
@@ -224,7 +264,7 @@ class MavlinkVehicle(Vehicle):
 
     def _require_alone(self) -> None:
         """Raises VehicleError when it is no multicopter, or not the only one on the link."""
-        objection = self._link.roll_call.objection()
+        objection = self._link.roll_call.objection() if self._home_held else ""
         if objection:
             raise VehicleError(f"autopilot at {self._link.url}: {objection}")
 
@@ -255,36 +295,58 @@ class MavlinkVehicle(Vehicle):
 
     def _take(self, message: Any) -> None:  # noqa: ANN401  pymavlink has no types
         match message.get_type():
-            case "HEARTBEAT":
-                self._take_heartbeat(message)
             case "LOCAL_POSITION_NED":
-                local = np.array([message.x, message.y, message.z]) - self._home_ned
-                self._telemetry = replace(
-                    self._telemetry,
-                    time_s=message.time_boot_ms / 1000,
-                    position_enu=np.array(ned_to_enu(*local.tolist())),
-                    velocity_enu=np.array(ned_to_enu(message.vx, message.vy, message.vz)),
-                )
+                self._take_position(message)
             case "ATTITUDE":
-                attitude = (message.roll, message.pitch, yaw_ned_to_enu(message.yaw))
-                self._telemetry = replace(self._telemetry, attitude_rad=attitude)
-                if self._telemetry.position_enu is None:  # until then it is what tells the time
-                    self._telemetry = replace(self._telemetry, time_s=message.time_boot_ms / 1000)
+                self._take_attitude(message)
+            case "HEARTBEAT":
+                if self._in_turn(message):
+                    self._take_heartbeat(message)
             case "EXTENDED_SYS_STATE":
-                landed = message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
-                self._telemetry = replace(self._telemetry, landed=landed)
+                if self._in_turn(message):
+                    landed = message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+                    self._telemetry = replace(self._telemetry, landed=landed)
             case "SYS_STATUS":
-                remaining = message.battery_remaining / 100 if message.battery_remaining >= 0 else None
-                armable = bool(message.onboard_control_sensors_health & PREARM)
-                self._telemetry = replace(
-                    self._telemetry, battery_remaining=remaining, armable=armable, unhealthy=_unhealthy(message)
-                )
+                if self._in_turn(message):
+                    remaining = message.battery_remaining / 100 if message.battery_remaining >= 0 else None
+                    armable = bool(message.onboard_control_sensors_health & PREARM)
+                    self._telemetry = replace(
+                        self._telemetry, battery_remaining=remaining, armable=armable, unhealthy=_unhealthy(message)
+                    )
             case "AUTOPILOT_VERSION":
                 self._uid = bytes(message.uid2).hex() if any(message.uid2) else f"{message.uid:x}"
             case "HOME_POSITION":
                 self._take_home(message)
             case "STATUSTEXT":
                 self._take_text(message)
+
+    def _take_position(self, message: Any) -> None:  # noqa: ANN401
+        """An estimator that has lost itself says so by NaN, or no longer says anything."""
+        told_s = self._told_at(message)
+        if told_s is None:
+            return
+        place = message.x, message.y, message.z, message.vx, message.vy, message.vz
+        position: Vector | None = None
+        velocity: Vector | None = None
+        if all(map(math.isfinite, place)):
+            home = self._home_ned
+            position = np.array(ned_to_enu(place[0] - home[0], place[1] - home[1], place[2] - home[2]))
+            velocity = np.array(ned_to_enu(*place[3:]))
+        else:
+            self.counters["not_finite"] += 1
+        self._telemetry = replace(
+            self._telemetry, time_s=self._now(told_s), position_s=told_s, position_enu=position, velocity_enu=velocity
+        )
+
+    def _take_attitude(self, message: Any) -> None:  # noqa: ANN401
+        told_s = self._told_at(message)
+        if told_s is None:
+            return
+        attitude = (message.roll, message.pitch, yaw_ned_to_enu(message.yaw))
+        if not all(map(math.isfinite, attitude)):
+            self.counters["not_finite"] += 1
+            attitude = self._telemetry.attitude_rad
+        self._telemetry = replace(self._telemetry, time_s=self._now(told_s), attitude_rad=attitude)
 
     def _take_heartbeat(self, message: Any) -> None:  # noqa: ANN401
         if self._known is None:
@@ -300,14 +362,61 @@ class MavlinkVehicle(Vehicle):
         self._telemetry = replace(self._telemetry, mode=mode, mode_name=name, armed=armed)
 
     def _take_home(self, message: Any) -> None:  # noqa: ANN401
+        """Positions stay about the home at arming, whoever moves it."""
+        home_ned = np.array([message.x, message.y, message.z])
+        if not np.isfinite(home_ned).all():
+            self.counters["not_finite"] += 1
+            return
         self._homes += 1
         if self._home_held:
+            moved_m = float(np.linalg.norm(home_ned - self._moved_home_ned))
+            if moved_m > HOME_MOVED_M:
+                self._moved_home_ned = home_ned
+                east, north, up = ned_to_enu(*(home_ned - self._home_ned).tolist())
+                self._remarks.append(
+                    f"home was moved to ({east:.1f}, {north:.1f}, {up:.1f}) m: positions and fence stay about the home "
+                    "at arming, the autopilot returns to the new one"
+                )
             return
-        self._home_ned = np.array([message.x, message.y, message.z])
+        self._home_ned = self._moved_home_ned = home_ned
         self._telemetry = replace(
             self._telemetry,
             home_lat_lon_alt=(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3),
         )
+
+    # What comes late, on a network that lets frames overtake each other, must not undo what is newer.
+
+    def _told_at(self, message: Any) -> float | None:  # noqa: ANN401
+        """Vehicle time of a message with time_boot_ms; None when a newer one of its kind is known."""
+        told_s, kind = self._boot_s(message.time_boot_ms), message.get_type()
+        if 0.0 < self._newest_s.get(kind, -math.inf) - told_s <= WENT_BACK_S:
+            self.counters["late"] += 1
+            return None
+        self._newest_s[kind] = told_s
+        return told_s
+
+    def _now(self, told_s: float) -> float:
+        """Vehicle time after a message of `told_s`: other kinds may be newer, by as much as no restart is."""
+        return max(told_s, self._telemetry.time_s) if self._telemetry.time_s - told_s <= WENT_BACK_S else told_s
+
+    def _boot_s(self, boot_ms: int) -> float:
+        """Vehicle time [s] of a time_boot_ms, which begins anew when 32 bits are full."""
+        newest = boot_ms if self._boot_ms is None else self._boot_ms
+        told_ms = boot_ms + round((newest - boot_ms) / TURN_MS) * TURN_MS
+        if abs(told_ms - newest) < NEAR_MS:
+            self._boot_ms = max(told_ms, newest)
+        else:  # after a long silence, or started anew
+            self._boot_ms = told_ms = newest // TURN_MS * TURN_MS + boot_ms
+        return told_ms / 1000
+
+    def _in_turn(self, message: Any) -> bool:  # noqa: ANN401
+        """Whether a message without a time is newer than all before it, by its frame's number."""
+        behind = (self._seq - message.get_seq()) % 256
+        if 0 < behind < OVERTAKEN and self._clock.now - self._seq_s <= WENT_BACK_S:
+            self.counters["late"] += 1
+            return False
+        self._seq, self._seq_s = message.get_seq(), self._clock.now
+        return True
 
     def _take_text(self, message: Any) -> None:  # noqa: ANN401
         """Texts longer than 50 characters come in chunks with one id."""

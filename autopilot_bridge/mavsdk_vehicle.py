@@ -73,6 +73,7 @@ class MavsdkVehicle(MavlinkVehicle):
         self._client = mavsdk.Mavsdk(own)
         self._client.subscribe_raw_bytes_to_be_sent(self._hand_over)
         self._client.add_any_connection("raw://")
+        link.listener = self._client.pass_received_raw_bytes
         self._action: Action
         self._offboard: Offboard
         self._param: Param
@@ -80,10 +81,7 @@ class MavsdkVehicle(MavlinkVehicle):
 
     def poll(self, timeout_s: float) -> None:
         self._flush()
-        for message in self._link.receive(timeout_s):
-            self._heard += 1
-            self._client.pass_received_raw_bytes(bytes(message.get_msgbuf()))
-            self._take(message)
+        super().poll(timeout_s)
         self._flush()
 
     def beat(self) -> None:

@@ -18,12 +18,16 @@ from autopilot_bridge.link import Link
 from autopilot_bridge.mavlink_vehicle import INTEGERS, RETRY_S, SHOWN_S, TRIES, MavlinkVehicle
 from autopilot_bridge.vehicle import Mode, RefusedError, VehicleError
 
+ACK_STEPS = 5
+"""How long an ACK may take while there is no vehicle time to measure it by."""
 VELOCITY_AND_YAW = 2503
 """SET_POSITION_TARGET_LOCAL_NED type_mask: position, acceleration and yaw rate ignored."""
 
 
 class PymavlinkVehicle(MavlinkVehicle):
     """See `MavlinkVehicle`."""
+
+    read = MavlinkVehicle.read | {mavlink.MAVLINK_MSG_ID_COMMAND_ACK, mavlink.MAVLINK_MSG_ID_PARAM_VALUE}
 
     def __init__(
         self, link: Link, dialects: dict[int, Dialect], system_id: int, clock: Clock, wait: Callable[[], None]
@@ -97,9 +101,24 @@ class PymavlinkVehicle(MavlinkVehicle):
         raise VehicleError(f"parameter {name}: the autopilot did not take {value:g}")
 
     def _meet(self) -> None:
+        """Each rate is asked for until it is acknowledged, with less patience the longer nothing is."""
+        unanswered = 0
         for message_id, rate_hz in self.dialect.rates_hz.items():
-            self._send_command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
+            for _ in range(max(TRIES - unanswered, 1)):
+                if self._rated(message_id, rate_hz, steps=ACK_STEPS if unanswered < TRIES else 1):
+                    unanswered = 0
+                    break
+                unanswered += 1
+
+    def _rated(self, message_id: int, rate_hz: float, steps: int) -> bool:
+        """Ask for a rate; whether it is acknowledged. Steps are counted: there may be no vehicle time yet."""
+        self._acks.pop(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, None)
+        self._send_command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
+        for _ in range(steps):
             self._wait()
+            if mavlink.MAV_CMD_SET_MESSAGE_INTERVAL in self._acks:
+                return True
+        return False
 
     def _identify(self) -> None:
         for _ in range(TRIES):
@@ -128,6 +147,8 @@ class PymavlinkVehicle(MavlinkVehicle):
                 super()._take(message)
 
     def _read(self, name: str) -> tuple[float, int]:
+        """Asked for anew every time: somebody else may have set it."""
+        self._parameters.pop(name, None)
         for _ in range(TRIES):
             self._link.send(
                 mavlink.MAVLink_param_request_read_message(

@@ -47,9 +47,11 @@ class Telemetry:
     """The newest of everything that the autopilot has told."""
 
     time_s: float = 0.0
+    """Vehicle time, of the newest telemetry of any kind."""
+    position_s: float = 0.0
     """Vehicle time of position and velocity."""
     position_enu: Vector | None = None
-    """About home [m]; None until there is an estimate."""
+    """About home [m]; None while there is no estimate."""
     velocity_enu: Vector | None = None
     attitude_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Roll, pitch as MAVLink's ATTITUDE; yaw in ENU."""
@@ -68,10 +70,13 @@ class Telemetry:
     """Degrees, degrees, metres above mean sea level."""
 
     def at(self, time_s: float) -> tuple[Vector, Vector]:
-        """Position and velocity carried on to vehicle time `time_s`, over 0.1 s at most. Raises VehicleError."""
+        """Position and velocity carried on to vehicle time `time_s`, over 0.1 s at most. Raises VehicleError.
+
+        However old they are: PX4 sends no position at all while its estimate is lost, see `position_s`.
+        """
         if self.position_enu is None or self.velocity_enu is None:
             raise VehicleError("the autopilot gives no local position")
-        ahead = float(np.clip(time_s - self.time_s, 0.0, 0.1))
+        ahead = float(np.clip(time_s - self.position_s, 0.0, 0.1))
         return self.position_enu + self.velocity_enu * ahead, self.velocity_enu
 
 
@@ -116,6 +121,10 @@ class Vehicle(ABC):
     @abstractmethod
     def status_texts(self) -> list[str]:
         """STATUSTEXT since the last call."""
+
+    @abstractmethod
+    def remarks(self) -> list[str]:
+        """What we have noticed of the vehicle and its link in flight since the last call, and a person should know."""
 
     @abstractmethod
     def send_velocity(self, velocity_enu: Vector, yaw_enu: float) -> None:

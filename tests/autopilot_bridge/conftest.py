@@ -39,9 +39,12 @@ class Sitl:
         self.gcs, self.control = printed["gcs"], printed.get("control")
 
     def pilot(self, command, *params):
-        """A COMMAND_LONG of a ground station, on the SITL's other link."""
+        """A COMMAND_LONG of a ground station."""
+        self.say(mavlink.MAVLink_command_long_message(1, 1, command, 0, *params, *[0.0] * (7 - len(params))))
+
+    def say(self, message):
+        """A message of a ground station, on the SITL's other link."""
         codec = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-        message = mavlink.MAVLink_command_long_message(1, 1, command, 0, *params, *[0.0] * (7 - len(params)))
         host, port = self.gcs.split(":")
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             out.sendto(message.pack(codec), (host, int(port)))

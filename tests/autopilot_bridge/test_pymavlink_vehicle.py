@@ -30,11 +30,15 @@ class Loss:
 
 
 @pytest.fixture
-def connect(sitl):
+def autopilot(sitl):
+    return sitl("--lockstep")
+
+
+@pytest.fixture
+def connect(autopilot):
     opened = []
 
     def start(**tamper):
-        autopilot = sitl("--lockstep")
         link = Link(f"udpin://127.0.0.1:{autopilot.port}", 1, **tamper)
         clock = Lockstep(autopilot.control, 50)
         vehicle = PymavlinkVehicle(link, dialects("px4"), 1, clock, lambda: clock.step(vehicle))
@@ -119,3 +123,33 @@ def test_long_status_texts_and_parameters_of_both_types(connect):
         vehicle.set_parameter("COM_OBL_RC_ACT", 3.5)
     with pytest.raises(VehicleError, match="COM_OBL_RC_ACT: the autopilot did not take 77"):
         vehicle.set_parameter("COM_OBL_RC_ACT", 77)
+
+
+def test_rates_are_asked_for_until_they_are_acknowledged(connect):
+    lost = iter([True, True, False, True] * 1000)
+
+    def every_other(frame):
+        return () if message_id(frame) == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and next(lost) else (frame,)
+
+    vehicle = connect(tamper_out=every_other)
+    came = []
+    vehicle._link.listener = came.append
+    for _ in range(2 * 20):
+        vehicle._wait()
+    per_s = {number: sum(message_id(frame) == number for frame in came) / 2 for number in PX4.rates_hz}
+    for number in (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_ODOMETRY):
+        assert per_s[number] == pytest.approx(PX4.rates_hz[number], abs=0.6)
+
+
+def test_a_parameter_that_somebody_else_has_set_unheard_is_read_anew(connect, autopilot):
+    deaf = [False]
+    vehicle = connect(
+        tamper_in=lambda frame: () if deaf[0] and message_id(frame) == mavlink.MAVLINK_MSG_ID_PARAM_VALUE else (frame,)
+    )
+    assert vehicle.parameter("MPC_XY_VEL_MAX") == 12
+    deaf[0] = True
+    autopilot.say(mavlink.MAVLink_param_set_message(1, 1, b"MPC_XY_VEL_MAX", 9.0, mavlink.MAV_PARAM_TYPE_REAL32))
+    for _ in range(4):
+        vehicle._wait()
+    deaf[0] = False
+    assert vehicle.parameter("MPC_XY_VEL_MAX") == 9
