@@ -26,12 +26,18 @@ class Signing:
         self._key = key
         self._newest = timestamp() if wall_clock else 0
         self._streams: dict[tuple[int, int, int], int] = {}
+        self._codecs: list[Any] = []
 
     def sign_what(self, codec: Any) -> None:  # noqa: ANN401  pymavlink has no types
-        """Let `codec` sign all it packs."""
+        """Let `codec` sign all it packs, at a time that is never before what was heard.
+
+        A companion computer without a clock of its own starts years late: the autopilot, which has GPS time, would take
+        its frames for old ones.
+        """
         codec.signing.secret_key = self._key
         codec.signing.timestamp = timestamp()
         codec.signing.sign_outgoing = True
+        self._codecs.append(codec)
 
     def refusal(self, frame: bytes) -> str:
         """Why a frame is not to be believed: `unsigned`, `bad_signature`, `replayed`; empty when it is.
@@ -48,6 +54,8 @@ class Signing:
             return "replayed"
         self._streams[stream] = stamp
         self._newest = max(self._newest, stamp)
+        for codec in self._codecs:
+            codec.signing.timestamp = max(codec.signing.timestamp, stamp)
         return ""
 
 

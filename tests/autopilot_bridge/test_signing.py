@@ -41,6 +41,24 @@ def test_what_is_believed():
     assert ours.refusal(signed(stamp=now - LATE_MAX - 10**5, link_id=4)) == "replayed"
 
 
+def test_a_companion_whose_clock_starts_years_late_signs_by_the_autopilots(monkeypatch):
+    now = timestamp()
+    monkeypatch.setattr("autopilot_bridge.signing.timestamp", lambda: 1000)
+    ours, codec = Signing(KEY), mavlink.MAVLink(None, srcSystem=245, srcComponent=191)
+    ours.sign_what(codec)
+
+    def stamped():
+        frame = bytes(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(codec))
+        return int.from_bytes(frame[-12:-6], "little")
+
+    assert stamped() < 2000
+    assert ours.refusal(signed(stamp=now)) == ""
+    first = stamped()
+    assert now <= first < now + 10
+    assert ours.refusal(signed(WRONG, now + 10**9)) == "bad_signature"  # forged: moves nothing
+    assert first < stamped() < now + 10
+
+
 @pytest.mark.parametrize("bit", [10 * 8, 20 * 8 + 3, -1])
 def test_a_single_bit_is_seen(bit):
     frame = bytearray(signed())
