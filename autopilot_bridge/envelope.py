@@ -134,7 +134,8 @@ class Envelope:
         if self.separation_m > 0:
             own = np.array([position, self.stop(position, velocity)])[:, :2]
             for other in others:
-                theirs = np.array([other.position, self.stop(other.position, other.velocity)])[:, :2]
+                end = other.stop if other.stop is not None else self.stop(other.position, other.velocity)
+                theirs = np.array([other.position, end])[:, :2]
                 apart_m = self.separation_m + 2 * other.age_s * self.limits.horizontal_mps
                 yield "separation", own_side(own, theirs, apart_m)
 

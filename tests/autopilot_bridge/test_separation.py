@@ -88,6 +88,15 @@ def test_what_is_old_is_kept_farther_from():
     assert gate.clip(-command, here, np.zeros(3), [old]).reasons == ()  # away is always open
 
 
+def test_the_whole_way_of_one_that_is_nobodys_is_kept_from():
+    """Its bridge is gone; it flies from 40 m east to 40 m west of us, somewhere north of here."""
+    other = Track(np.array([40.0, 6, 20]), np.zeros(3), stop=np.array([-40.0, 6, 20]))
+    here, north = np.array([0.0, 0, 20]), np.array([0.0, 1, 0])
+    assert envelope().clip(north, here, np.zeros(3), [other]).reasons == ("separation",)
+    assert envelope().clip(-north, here, np.zeros(3), [other]).reasons == ()
+    assert envelope().clip(north, here, np.zeros(3), [Track(other.position, other.velocity)]).reasons == ()
+
+
 @given(arrays(float, (2, 2, 2), elements=st.floats(-20, 20)))
 def test_the_nearest_points_of_two_segments(segments):
     ours, theirs = nearest_points(*segments)
