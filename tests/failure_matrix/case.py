@@ -1,0 +1,91 @@
+"""One flight of the matrix with the bridge in this process: recorded, witnessed, and held to its row."""
+
+import socket
+from contextlib import ExitStack
+from functools import cached_property
+
+from pymavlink import mavutil
+
+from bus import topics
+from mission import flight_log
+from mission.recorder import Recorder
+from tests.failure_matrix.rows import ROWS, judge
+from tests.failure_matrix.witness import Witness
+
+SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
+LOGGED_S = 1.0
+"""What is older than this at the moment of the fault must be on disk."""
+AUTOPILOTS = {
+    "px4": ("--personality", "px4"),
+    "arducopter": ("--personality", "arducopter", "--tcp-port", "0"),
+}
+
+
+class Case:
+    """A flight of `fault`'s row, that waits for `start`; fixtures are those of tests/autopilot_bridge."""
+
+    def __init__(self, fault, autopilot, fly, config, folder, decide=lambda opened: (0.0, 0.0, 0.0)):
+        self.row = ROWS[fault]
+        self.folder = folder
+        self.autopilot = autopilot
+        self.tlog = folder / "flight.tlog"
+        self.fence_m = max(abs(bound) for bound in (*config.slot_fence.spans[0], *config.slot_fence.spans[1]))
+        self._held = ExitStack()
+        self.witness = Witness(int(autopilot.gcs.split(":")[1]))
+        self._held.callback(self.witness.close)
+        self.flight = fly(config.model_copy(update={"autostart": False}), decide, tlog=self.tlog)
+        self._held.enter_context(Recorder(self.flight.ground, self.flight.vehicle, folder / flight_log.FILE_NAME))
+
+    def start(self):
+        self.flight.until_phase("ready")
+        assert self.flight.command("start").accepted
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._held.close()
+
+    def inject(self, what):
+        """A fault by the autopilot's control socket."""
+        host, port = self.autopilot.control.split(":")
+        with socket.create_connection((host, int(port))) as line, line.makefile("r") as answers:
+            line.sendall(f"inject {what}\n".encode())
+            answer = answers.readline()
+        assert answer.startswith("injected"), answer
+
+    def judge(self, fault_s):
+        """Wait for the end and hold the flight to its row; `fault_s`: vehicle time of the fault."""
+        code = self.flight.wait()
+        self._held.close()
+        log = flight_log.read(self.folder)
+        judge(self.row, self.witness, log, self.fence_m, code, self.frames)
+        assert log.complete
+        assert log.lost_bytes == 0
+        states = [state.time_s for state in log.messages(topics.STATE)]
+        assert any(fault_s - LOGGED_S <= time_s <= fault_s + LOGGED_S for time_s in states), f"a hole in the MCAP: {states[:3]} ... {states[-3:]}"
+        heard = [
+            message.time_boot_ms / 1000 for message in self.frames if message.get_type() == "LOCAL_POSITION_NED"
+        ]
+        assert any(fault_s - LOGGED_S <= time_s <= fault_s for time_s in heard), "a hole in the tlog"
+        return log
+
+    @cached_property
+    def frames(self):
+        """Every frame of the tlog, once the flight is over; fails when one cannot be read."""
+        return read_tlog(self.tlog)
+
+    @property
+    def setpoints_s(self):
+        """Vehicle times of the setpoints sent."""
+        return [message.time_boot_ms / 1000 for message in self.frames if message.get_type() == SETPOINT]
+
+
+def read_tlog(path):
+    """All messages, by pymavlink; one that cannot be read fails."""
+    log = mavutil.mavlink_connection(str(path), robust_parsing=False)
+    frames = []
+    while (message := log.recv_msg()) is not None:
+        assert message.get_type() != "BAD_DATA", f"{path}: bad data after {len(frames)} frames"
+        frames.append(message)
+    return frames

@@ -1,0 +1,178 @@
+"""The failure matrix: one row for each fault, which its test flies and docs/safety.md shows.
+
+A row says what is expected; `judge` holds a flight to it by what was recorded and by a witness of the truth.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from bus import topics
+
+
+class End(StrEnum):
+    """Where the vehicle is at the end."""
+
+    HOLDING = "holding"
+    HOME = "home"
+    LANDED = "landed inside the fence"
+    DOWN = "on the ground"
+    """Outside causes only: maybe outside the fence, brought there by the autopilot alone."""
+
+
+HOME_M = 2.0
+"""So near to where it took off it is home."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One fault."""
+
+    fault: str
+    injected: str
+    detected: str
+    vehicle: str
+    """What it does meanwhile."""
+    ends: tuple[End, ...]
+    codes: tuple[int, ...]
+    """Exit codes of the bridge, or of `fly` where there is a bridge no more."""
+    told: tuple[tuple[str, str], ...] = ()
+    """Events that must be in the MCAP: kind, and what the text holds."""
+    personalities: tuple[str, ...] = field(default=("px4",))
+
+    @property
+    def markdown(self):
+        """Its line in docs/safety.md."""
+        told = ", ".join(f"`{kind}` {text}" if text else f"`{kind}`" for kind, text in self.told)
+        cells = (
+            self.fault,
+            self.injected,
+            self.detected,
+            self.vehicle,
+            " or ".join(self.ends),
+            " or ".join(map(str, self.codes)),
+            told,
+            ", ".join(self.personalities),
+        )
+        return f"| {' | '.join(cells)} |"
+
+
+HEADER = (
+    "| fault | injected how | detected in | meanwhile the vehicle | ends | exit | logged besides `phase` | flown with |",
+    "| --- | --- | --- | --- | --- | --- | --- | --- |",
+)
+BOTH = ("px4", "arducopter")
+DOWN = (End.HOME, End.LANDED)
+
+_TABLE = (
+    Row(
+        "MAVLink loss 10 %",
+        "each datagram lost by chance, both ways, from slot 2 on",
+        "nobody's: setpoints come at 20 Hz",
+        "flies on",
+        (End.LANDED,),
+        (0,),
+    ),
+    Row(
+        "MAVLink loss 30 %",
+        "as above",
+        "nobody's; commands are repeated until telemetry shows them",
+        "flies on",
+        (End.LANDED,),
+        (0,),
+    ),
+    Row(
+        "MAVLink loss 60 %",
+        "as above",
+        "as above",
+        "flies on, or the autopilot's failsafe brings it home",
+        DOWN,
+        (0, 3),
+        personalities=BOTH,
+    ),
+    Row(
+        "MAVLink duplicate",
+        "each datagram twice, both ways",
+        "nobody's",
+        "flies on",
+        (End.LANDED,),
+        (0,),
+    ),
+    Row(
+        "MAVLink reorder",
+        "every other datagram after the next one, both ways",
+        "nobody's",
+        "flies on",
+        (End.LANDED,),
+        (0,),
+    ),
+)
+_TABLE += (
+    Row(
+        "GPS loss",
+        "`inject gps_loss` in slot 2, for good",
+        "the autopilot's estimator, after 5 s (ArduCopter 11 s)",
+        "flies on by dead reckoning, then descends; no setpoints",
+        (End.DOWN,),
+        (3,),
+        (("mode", "obeyed"),),
+        BOTH,
+    ),
+    Row(
+        "battery low",
+        "`inject battery` below what the autopilot calls critical, in slot 2",
+        "the autopilot's battery failsafe",
+        "holds for the autopilot's 5 s (ArduCopter at once), returns; no setpoints",
+        (End.HOME,),
+        (3,),
+        (("mode", "obeyed"),),
+        BOTH,
+    ),
+    Row(
+        "fence breach by wind",
+        "`inject wind`, more than the vehicle can stand against, for 30 s from slot 2 on",
+        "bridge, 1 m outside the fence",
+        "is blown out; the autopilot returns as far as it can; no setpoints",
+        (End.HOME,),
+        (3,),
+        (("failsafe", "outside the fence"),),
+        BOTH,
+    ),
+    Row(
+        "a motor fails",
+        "`inject motor 1 fail` in slot 2",
+        "the ground",
+        "falls",
+        (End.DOWN,),
+        (3,),
+        (),
+        BOTH,
+    ),
+)
+ROWS = {row.fault: row for row in _TABLE}
+
+
+def judge(row, witness, log, fence_m, code, frames=()):
+    """Hold a flight to its row: exit code, where the vehicle truly is, and what the recording tells.
+
+    A simulator that the bridge ends as soon as it hears the disarming may be gone before the witness hears it: the
+    autopilot's last HEARTBEAT among the tlog's `frames` counts too.
+    """
+    assert code in row.codes, f"exit {code}; {_told(log)}"
+    end = witness.last
+    armed = [bool(f.base_mode & 128) for f in frames if f.get_type() == "HEARTBEAT" and f.get_srcSystem() == 1]
+    down = end.landed and not (end.armed and (armed or [True])[-1])
+    inside = max(map(abs, end.position_enu[:2])) <= fence_m
+    found = {
+        End.HOLDING: end.armed and not end.landed and end.speed_mps < 0.5 and inside,
+        End.HOME: down and end.from_home_m < HOME_M,
+        End.LANDED: down and inside,
+        End.DOWN: down,
+    }
+    assert any(found[wanted] for wanted in row.ends), f"not {row.ends}: {end}; {_told(log)}"
+    told = _told(log)
+    for kind, text in row.told:
+        assert any(kind == k and text in t for k, t in told), f"{kind} {text!r} was not told: {told}"
+
+
+def _told(log):
+    return [(event.kind, event.text) for event in log.messages(topics.EVENT)]
