@@ -31,9 +31,10 @@ def run(
     vehicle to the autopilot's failsafe.
     """
     ground = Ground(session, vehicle)
-    with contextlib.ExitStack() as served, _interrupted_by(lambda: ground.commands.put("land")):
+    served = contextlib.ExitStack()
+    with contextlib.closing(ground.bell), served, _interrupted_by(lambda: ground.commands.put("land")):
         try:
-            link = Link(config.autopilot, config.system_id, tlog, signing=_signing(config))
+            link = Link(config.autopilot, config.system_id, tlog, signing=_signing(config), bell=ground.bell)
             with contextlib.closing(link):
                 code = _fly(config, ground, link, served, session, others if config.separation_m > 0 else ())
         except (LinkError, ValueError) as error:
@@ -68,11 +69,12 @@ def _fly(
             config.clock.speed if isinstance(config.clock, PacedClock) else 1.0,
             home=lambda: made[0].telemetry.home_lat_lon_alt if made else None,
             tell=ground.tell,
-            all_known=lambda: ground.commands.put("start") if config.autostart else None,
+            all_known=(lambda: ground.commands.put("start")) if config.autostart else lambda: None,
         )
         owned.enter_context(contextlib.closing(neighbours))
-        alone = config.autostart and not others
-        flight = Flight(config.model_copy(update={"autostart": alone}), ground, clock, make_vehicle, neighbours.tracks)
+        if others:  # who starts by itself waits for them
+            config = config.model_copy(update={"autostart": False})
+        flight = Flight(config, ground, clock, make_vehicle, neighbours.tracks)
         ground.objection = _unless_known(neighbours, ground.objection)
         served.enter_context(ground.served())
         code = flight.run()
@@ -81,9 +83,7 @@ def _fly(
     return code
 
 
-def _unless_known(
-    neighbours: Neighbours, objection: Callable[[CommandName], str]
-) -> Callable[[CommandName], str]:
+def _unless_known(neighbours: Neighbours, objection: Callable[[CommandName], str]) -> Callable[[CommandName], str]:
     """`objection`, and no start before it is known where the others are."""
 
     def object_to(name: CommandName) -> str:
