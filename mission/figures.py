@@ -1,6 +1,7 @@
 """The picture of a flight, `report.png`."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib as mpl
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from bus import topics
 from bus.messages import LinkReport, RisConfiguration, TrackSample, Vec3
 from mission.flight_log import FlightLog
+from mission.flyability import Flyability
 from mission.report import Report
 from mission.style import INK, LINES, MUTED, PLANNED, STYLE
 from rf_model.scenario import Scenario
@@ -34,8 +36,9 @@ def draw(log: FlightLog, report: Report, scenario: Scenario | None, path: Path) 
     planned = [sample for slot in slots if slot.flown for sample in slot.flown.plan]
 
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(13.5, 8.6), layout="constrained")
-        grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
+        rows = 3 if report.flyability is None else 4
+        figure = Figure(figsize=(13.5, 8.6 * rows / 3), layout="constrained")
+        grid = figure.add_gridspec(rows, 2, width_ratios=(1.15, 1.0))
         scene = figure.add_subplot(grid[:2, 0], projection="3d")
         assert isinstance(scene, Axes3D)
         _trajectory(scene, flown, links, scenario)
@@ -47,6 +50,10 @@ def draw(log: FlightLog, report: Report, scenario: Scenario | None, path: Path) 
         _speed(speed, flown, planned, start_s)
         phases = grid[2, 0].subgridspec(1, 2)
         _phases(figure, [figure.add_subplot(phases[0]), figure.add_subplot(phases[1])], configurations)
+        if report.flyability is not None:
+            opened_s = {slot.slot: slot.time_s - start_s for slot in slots}
+            _displacements(figure.add_subplot(grid[3, 0]), report.flyability, opened_s)
+            _flyable_rates(figure.add_subplot(grid[3, 1], sharex=rates), report.flyability, opened_s)
         figure.suptitle(
             f"{report.mission}   ·   {report.slots} slots   ·   sum rate {report.sum_rate_bps / 1e6:.2f} Mbit/s   ·   "
             f"HFI {report.hfi:.2f}   ·   {report.energy_j / 1e3:.1f} kJ",
@@ -153,6 +160,37 @@ def _speed(axes: Axes, flown: list[TrackSample], planned: list[TrackSample], sta
         speeds = np.linalg.norm(np.array([sample.velocity_enu for sample in samples]).reshape(-1, 3), axis=1)
         axes.plot(_times(samples, start_s), speeds, line, color=colour, label=name)
     axes.legend(loc="best", ncols=2)
+
+
+def _displacements(axes: Axes, flyable: Flyability, opened_s: Mapping[int, float]) -> None:
+    axes.set_title("Displacement of each slot")
+    axes.set_ylabel("[m]")
+    _by_place(axes, flyable, opened_s, [(slot.commanded_m, slot.planned_m, slot.flown_m) for slot in flyable.by_slot])
+
+
+def _flyable_rates(axes: Axes, flyable: Flyability, opened_s: Mapping[int, float]) -> None:
+    how = "surface as flown" if flyable.anew_by is None else flyable.anew_by.replace("_", " ")
+    axes.set_title(f"Sum rate by place, {how}")
+    axes.set_ylabel("[kbit/s]")
+    rates = [(slot.anew or slot.as_set).rate_bps for slot in flyable.by_slot]
+    _by_place(axes, flyable, opened_s, [(rate.commanded / 1e3, rate.planned / 1e3, rate.flown / 1e3) for rate in rates])
+
+
+def _by_place(
+    axes: Axes, flyable: Flyability, opened_s: Mapping[int, float], values: list[tuple[float, float, float]]
+) -> None:
+    """A step for each slot: commanded, planned, flown. Slots that are not in it leave a gap."""
+    axes.set_xlabel("vehicle time since slot 0 [s]")
+    shown = {slot.slot: value for slot, value in zip(flyable.by_slot, values, strict=True)}
+    nothing = (math.nan, math.nan, math.nan)
+    slots = range(min(shown), max(shown) + 2)
+    edges = [opened_s.get(slot, math.nan) for slot in slots]
+    heights = np.array([shown.get(slot, nothing) for slot in slots[:-1]]).T
+    looks = (("commanded", MUTED, ":", 1.4), ("planned", PLANNED, "--", 1.4), ("flown", INK, "-", 1.4))
+    for (name, colour, line, width), height in zip(looks, heights, strict=True):
+        axes.stairs(height, edges, baseline=None, color=colour, linestyle=line, linewidth=width, label=name)
+    axes.set_ylim(bottom=0.0)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3)
 
 
 def _phases(figure: Figure, axes: list[Axes], configurations: list[RisConfiguration]) -> None:

@@ -1,5 +1,6 @@
 """What a flight came to, from its run folder alone: `report.json`, the table and the picture."""
 
+import importlib
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -13,7 +14,9 @@ from rich.table import Table
 from bus import topics
 from bus.messages import LinkReport, Vec3
 from mission.flight_log import FlightLog, read
+from mission.flyability import Flyability, Total, flyability
 from mission.mission_file import Mission, load
+from mission.proof_log import Setpoints, setpoints
 
 FILE_NAME = "report.json"
 PICTURE_NAME = "report.png"
@@ -71,6 +74,10 @@ class Report(msgspec.Struct, frozen=True):
     """Slots by where the surface's configuration came from: action, held, default, closed_form, optimised."""
     ris: str | None
     """The mission's `ris.mode`; None without a mission file."""
+    flyability: Flyability | None
+    """None without a mission file, which says what world it was, and without slots."""
+    setpoints: Setpoints | None
+    """None in recordings from before there were any."""
     restarts: int
     """Nodes that came back after they were lost."""
     log_complete: bool
@@ -112,6 +119,8 @@ def summarise(run: Path, log: FlightLog, mission: Mission | None) -> Report:
         actions=dict(Counter(slot.outcome for slot in flown)),
         configurations=dict(Counter(link.configuration for link in links)),
         ris=mission.ris.mode if mission else None,
+        flyability=flyability(log, mission) if mission else None,
+        setpoints=setpoints(log),
         restarts=sum(event.kind == "node_back" for event in events),
         log_complete=log.complete,
         log_lost_bytes=log.lost_bytes,
@@ -152,9 +161,62 @@ def table(report: Report) -> RenderableType:
         ),
     ):
         total.add_row(name, value)
+    if report.setpoints is not None:
+        for name, value in _setpoint_rows(report.setpoints):
+            total.add_row(name, value)
+    if report.slots and report.flyability is None:
+        why = "no mission.yaml in the run folder" if report.seed is None else "no slot was recorded whole"
+        total.add_row("flyability", f"unknown: {why}")
     if not report.log_complete:
         total.add_row("recording cut short", f"{report.log_lost_bytes} bytes unreadable")
-    return Group(users, total)
+    parts: list[RenderableType] = [users, total]
+    if report.flyability is not None:
+        parts.append(_flyability_table(report.flyability))
+        if report.flyability.difference:
+            parts.append(f"flyability cannot be trusted: {report.flyability.difference}")
+    if report.setpoints is not None:
+        parts += [f"proof log: {line}" for line in report.setpoints.contradictions]
+    return Group(*parts)
+
+
+def _setpoint_rows(sent: Setpoints) -> Iterator[tuple[str, str]]:
+    counted = ", ".join(f"{source} {number}" for source, number in sent.by_source.items())
+    yield "setpoints", f"{sent.number}: {counted}"
+    if sent.clipped:
+        yield "setpoints clipped", ", ".join(f"{reason} {number}" for reason, number in sent.clipped.items())
+    action = "none" if sent.max_action_age_s is None else f"{sent.max_action_age_s:.2f}"
+    yield (
+        "longest interval / oldest action / oldest state",
+        f"{sent.longest_interval_s:.2f} / {action} / {sent.max_state_age_s:.2f} s",
+    )
+
+
+def _flyability_table(flyable: Flyability) -> Table:
+    """What the flight would have been worth where it was sent, planned and flown."""
+    others = len(flyable.left_out)
+    without = f", {others} more {'was' if others == 1 else 'were'} flown by somebody else" if others else ""
+    shown = Table(title=f"flyability: {flyable.slots} slots{without}", title_justify="left")
+    shown.add_column("")
+    for column in ("commanded", "planned", "flown", "lost to limits", "lost to tracking"):
+        shown.add_column(column, justify="right")
+
+    def row(name: str, total: Total, unit: float, digits: int) -> None:
+        numbers = (total.commanded, total.planned, total.flown, total.lost_to_limits, total.lost_to_tracking)
+        shown.add_row(name, *(f"{number / unit:.{digits}f}" for number in numbers))
+
+    shown.add_row("RMS distance, m", "", "", "", f"{flyable.limits_rms_m:.2f}", f"{flyable.tracking_rms_m:.2f}")
+    for how, worth in (("surface as flown", flyable.as_set), (f"{flyable.anew_by}".replace("_", " "), flyable.anew)):
+        if worth is not None:
+            row(f"sum rate, {how}, Mbit/s", worth.rate_bps, 1e6, 3)
+            row(f"reward, {how}", worth.reward, 1.0, 2)
+    row("energy, kJ", flyable.energy_j, 1e3, 2)
+    return shown
+
+
+def prepare() -> None:
+    """Import what `write` needs for flyability and picture: that takes 2 s, which may pass while the vehicle lands."""
+    for name in ("mission.figures", "rf_model.slot_radio", "rf_model.reference.uncompiled"):
+        importlib.import_module(name)
 
 
 def write(run: Path) -> Report:

@@ -2,14 +2,19 @@
 
 import json
 import re
+import struct
 import subprocess
 import sys
 
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 
 from bus.session import free_endpoint, open_session
 from mission import flight_log, report
+from mission.figures import draw
+from mission.flyability import Flyability, Places, SlotFlyability, SlotWorth, Total, Worth
+from mission.proof_log import Setpoints
 from mission.recorder import Recorder
 
 
@@ -90,3 +95,102 @@ def test_a_recording_cut_short_still_gives_a_report_that_says_so(run):
     console = Console(record=True, width=120)
     console.print(report.table(written))
     assert "recording cut short" in console.export_text()
+
+
+def shown(written):
+    console = Console(record=True, width=120)
+    console.print(report.table(written))
+    return console.export_text()
+
+
+def slot_flyability(slot):
+    worth = SlotWorth(rate_bps=Places(3e6, 2e6, 1e6), reward=Places(3.0, 2.0, 1.0))
+    return SlotFlyability(
+        slot=slot,
+        outcome="flown",
+        commanded_m=5.0,
+        planned_m=1.0,
+        flown_m=0.9,
+        limits_m=4.0,
+        tracking_rms_m=0.1,
+        energy_j=Places(180.0, 190.0, 200.0),
+        as_set=worth,
+        anew=worth,
+    )
+
+
+FLYABLE = Flyability(
+    difference="",
+    slots=3,
+    left_out=[2],
+    limits_rms_m=4.25,
+    tracking_rms_m=0.125,
+    energy_j=Total(540.0, 570.0, 600.0, 30.0, 30.0),
+    as_set=Worth(rate_bps=Total(3e6, 2.5e6, 1e6, 0.5e6, 1.5e6), reward=Total(9.0, 6.5, 3.25, 2.5, 3.25)),
+    anew=Worth(rate_bps=Total(4e6, 3.75e6, 3.5e6, 0.25e6, 0.25e6), reward=Total(12.0, 11.5, 10.5, 0.5, 1.0)),
+    anew_by="closed_form",
+    by_slot=[slot_flyability(slot) for slot in (0, 1, 3)],
+)
+
+
+def test_what_was_lost_to_flight_dynamics_is_shown(run):
+    written = replace(report.summarise(run, flight_log.read(run), None), flyability=FLYABLE)
+    lines = {
+        row[1].strip(): [cell.strip() for cell in row[2:-1]]
+        for line in shown(written).splitlines()
+        if len(row := line.split("│")) == 8
+    }
+    assert lines == {
+        "RMS distance, m": ["", "", "", "4.25", "0.12"],
+        "sum rate, surface as flown, Mbit/s": ["3.000", "2.500", "1.000", "0.500", "1.500"],
+        "reward, surface as flown": ["9.00", "6.50", "3.25", "2.50", "3.25"],
+        "sum rate, closed form, Mbit/s": ["4.000", "3.750", "3.500", "0.250", "0.250"],
+        "reward, closed form": ["12.00", "11.50", "10.50", "0.50", "1.00"],
+        "energy, kJ": ["0.54", "0.57", "0.60", "0.03", "0.03"],
+    }
+    text = shown(written)
+    assert "flyability: 3 slots, 1 more was flown by somebody else" in text
+    assert "trusted" not in text
+    assert "flyability cannot be trusted: slot 0 was" in shown(
+        replace(written, flyability=replace(FLYABLE, difference="slot 0 was another"))
+    )
+    assert "anew" not in shown(replace(written, flyability=replace(FLYABLE, anew=None, anew_by=None)))
+
+
+def test_the_picture_has_the_flyability_below(run, tmp_path):
+    """Of slots 0, 1 and 3: the one in between is a gap."""
+    log = flight_log.read(run)
+    written = report.summarise(run, log, None)
+    heights = []
+    for flyable in (None, FLYABLE, replace(FLYABLE, anew=None, anew_by=None)):
+        path = tmp_path / "picture.png"
+        draw(log, replace(written, flyability=flyable), None, path)
+        heights.append(struct.unpack(">I", path.read_bytes()[20:24])[0])
+    assert heights[1] == heights[2] > 1.2 * heights[0]
+
+
+def test_without_its_mission_a_flight_has_no_flyability_and_that_is_told(run):
+    written = report.write(run)
+    assert written.flyability is None
+    assert "unknown: no mission.yaml in the run folder" in shown(written)
+
+
+def test_setpoints_and_what_contradicts_them_are_shown(run):
+    written = report.summarise(run, flight_log.read(run), None)
+    assert written.setpoints is None
+    assert "oldest action" not in shown(written)
+    told = Setpoints(
+        number=321,
+        by_source={"transit": 300, "policy": 21},
+        clipped={"fence": 4},
+        longest_interval_s=0.0512,
+        max_action_age_s=1.25,
+        max_state_age_s=0.11,
+        contradictions=["setpoint at 3.00 s: slot 9 never opened"],
+    )
+    text = shown(replace(written, setpoints=told))
+    assert "321: transit 300, policy 21" in text
+    assert "fence 4" in text
+    assert "0.05 / 1.25 / 0.11 s" in text
+    assert "proof log: setpoint at 3.00 s: slot 9 never opened" in text
+    assert "0.05 / none / 0.11 s" in shown(replace(written, setpoints=replace(told, max_action_age_s=None)))
