@@ -34,6 +34,8 @@ MODE_NEWS_S = 0.15
 """A mode heard this short a time ago is the vehicle's."""
 MODE_WAIT_S = 1.5
 """An autopilot that will not send HEARTBEAT faster does so once a second."""
+ASK_WALL_S = 0.2
+"""How often we ask an autopilot whose mode we doubt."""
 SHOWN_S = 6.0
 """Vehicle time in which telemetry must show what was acknowledged."""
 RETRY_S = 0.5
@@ -66,6 +68,7 @@ class MavlinkVehicle(Vehicle):
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
             mavlink.MAVLINK_MSG_ID_HOME_POSITION,
             mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC,
         )
     )
     """Messages that are made something of; the others are only logged."""
@@ -90,6 +93,11 @@ class MavlinkVehicle(Vehicle):
         """Vehicle time since which everybody on the link is listened to."""
         self._heartbeat_s = -math.inf
         """Vehicle time of the last one."""
+        self._mode_known = True
+        self._asked_ns: list[int] = []
+        """Our TIMESYNC requests since the mode is doubted (wall clock, CLOCK_MONOTONIC)."""
+        self._answered = False
+        """Whether one of them was."""
         self._boot_ms: int | None = None
         """The newest time_boot_ms, over its turns."""
         self._newest_s: dict[str, float] = {}
@@ -194,7 +202,21 @@ class MavlinkVehicle(Vehicle):
             raise VehicleError(f"takeoff: not at {altitude_m:g} m and holding after {TAKEOFF_S:g} s")
 
     def hear_mode(self) -> None:
-        self._until(lambda: self._clock.now - self._heartbeat_s <= MODE_NEWS_S, MODE_WAIT_S)
+        self._until(
+            lambda: self.mode_known() and self._clock.now - self._heartbeat_s <= MODE_NEWS_S,
+            MODE_WAIT_S,
+        )
+
+    def doubt_mode(self) -> None:
+        self._mode_known, self._answered, self._asked_ns = False, False, []
+
+    def mode_known(self) -> bool:
+        """By a TIMESYNC of ours that comes back: a HEARTBEAT behind the answer was sent after the question."""
+        now_ns = time.monotonic_ns()
+        if not self._mode_known and (not self._asked_ns or now_ns - self._asked_ns[-1] > ASK_WALL_S * 1e9):
+            self._asked_ns.append(now_ns)
+            self._link.send(mavlink.MAVLink_timesync_message(0, now_ns))
+        return self._mode_known
 
     def close(self) -> None:
         self._link.close()
@@ -319,6 +341,8 @@ class MavlinkVehicle(Vehicle):
                 self._take_home(message)
             case "STATUSTEXT":
                 self._take_text(message)
+            case "TIMESYNC":
+                self._answered = self._answered or (message.tc1 != 0 and message.ts1 in self._asked_ns)
 
     def _take_position(self, message: Any) -> None:  # noqa: ANN401
         """An estimator that has lost itself says so by NaN, or no longer says anything."""
@@ -356,6 +380,7 @@ class MavlinkVehicle(Vehicle):
             self.counters["other_autopilot"] += 1
             return
         self._heartbeat_s = self._clock.now
+        self._mode_known = self._mode_known or self._answered
         unknown = (Mode.OTHER, f"custom mode {message.custom_mode:#x}")
         mode, name = self._known.modes.get(message.custom_mode, unknown)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)

@@ -158,6 +158,14 @@ class Vehicle(ABC):
         """Wait until the mode in `telemetry` is news, so that nobody's newer choice is overruled unseen."""
 
     @abstractmethod
+    def doubt_mode(self) -> None:
+        """We have not listened for a while: what is heard next may be old, from a buffer that had no room for more."""
+
+    @abstractmethod
+    def mode_known(self) -> bool:
+        """Whether the mode in `telemetry` was told after the last `doubt_mode` for certain; asks, as long as not."""
+
+    @abstractmethod
     def set_mode(self, mode: Mode) -> None:
         """Change mode, confirmed by telemetry. For OFFBOARD setpoints must already stream. Raises RefusedError."""
 
