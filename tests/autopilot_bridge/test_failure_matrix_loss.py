@@ -7,7 +7,7 @@ import pytest
 
 from autopilot_bridge import node
 from autopilot_bridge.link import Link
-from tests.failure_matrix.case import AUTOPILOTS, Case
+from tests.failure_matrix.case import AUTOPILOTS, Case, ports
 from tests.failure_matrix.rows import ROWS
 
 SLOTS = 12
@@ -72,7 +72,9 @@ def test_row(sitl, fly, bridge_config, tmp_path, monkeypatch, fault, personality
             at.append(opened.time_s)
         return (2.0 if opened.slot % 4 < 2 else -2.0, 1.0, 0.0)
 
-    with Case(fault, autopilot, fly, bridge_config(autopilot, slots=SLOTS), tmp_path, decide) as case:
+    with Case(
+        fault, fly, bridge_config(autopilot, slots=SLOTS), tmp_path, decide, **ports(autopilot)
+    ) as case:
         case.start()
         case.flight.wait()
         case.judge(at[0])

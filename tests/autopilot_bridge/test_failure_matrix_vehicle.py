@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from bus import topics
-from tests.failure_matrix.case import AUTOPILOTS, Case
+from tests.failure_matrix.case import AUTOPILOTS, Case, ports
 from tests.failure_matrix.rows import BOTH
 
 SLOTS = 1000  # none of these flights comes to its planned end
@@ -34,7 +34,7 @@ def flown(sitl, fly, bridge_config, tmp_path):
             return (1.0 if opened.slot % 2 else -1.0, 0.0, 0.0)
 
         config = bridge_config(autopilot, slots=SLOTS, **changes)
-        with Case(fault, autopilot, fly, config, tmp_path, decide) as case:
+        with Case(fault, fly, config, tmp_path, decide, **ports(autopilot)) as case:
             case.start()
             case.flight.wait()
             return case

@@ -22,16 +22,19 @@ AUTOPILOTS = {
 
 
 class Case:
-    """A flight of `fault`'s row, that waits for `start`; fixtures are those of tests/autopilot_bridge."""
+    """A flight of `fault`'s row, that waits for `start`.
 
-    def __init__(self, fault, autopilot, fly, config, folder, decide=lambda opened: (0.0, 0.0, 0.0)):
+    `fly` is the fixture of tests/autopilot_bridge, `gcs` and `control` the autopilot's ports.
+    """
+
+    def __init__(self, fault, fly, config, folder, decide, *, gcs, control):
         self.row = ROWS[fault]
         self.folder = folder
-        self.autopilot = autopilot
         self.tlog = folder / "flight.tlog"
         self.fence_m = max(abs(bound) for bound in (*config.slot_fence.spans[0], *config.slot_fence.spans[1]))
+        self._control = control
         self._held = ExitStack()
-        self.witness = Witness(int(autopilot.gcs.split(":")[1]))
+        self.witness = Witness(gcs)
         self._held.callback(self.witness.close)
         self.flight = fly(config.model_copy(update={"autostart": False}), decide, tlog=self.tlog)
         self._held.enter_context(Recorder(self.flight.ground, self.flight.vehicle, folder / flight_log.FILE_NAME))
@@ -48,8 +51,7 @@ class Case:
 
     def inject(self, what):
         """A fault by the autopilot's control socket."""
-        host, port = self.autopilot.control.split(":")
-        with socket.create_connection((host, int(port))) as line, line.makefile("r") as answers:
+        with socket.create_connection(("127.0.0.1", self._control)) as line, line.makefile("r") as answers:
             line.sendall(f"inject {what}\n".encode())
             answer = answers.readline()
         assert answer.startswith("injected"), answer
@@ -79,6 +81,11 @@ class Case:
     def setpoints_s(self):
         """Vehicle times of the setpoints sent."""
         return [message.time_boot_ms / 1000 for message in self.frames if message.get_type() == SETPOINT]
+
+
+def ports(autopilot):
+    """Of the `sitl` fixture's vehicle."""
+    return {"gcs": int(autopilot.gcs.split(":")[1]), "control": int(autopilot.control.split(":")[1])}
 
 
 def read_tlog(path):

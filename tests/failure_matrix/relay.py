@@ -15,13 +15,13 @@ TURN_S = 0.002
 class MavlinkRelay:
     """One UDP link of a SITL, as its bridge at `127.0.0.1:<bridge>` is to see it.
 
-    The autopilot's side is a client of the SITL's companion port, by an address of its own; to the bridge the relay is
-    the autopilot.
+    To the autopilot it is the companion computer at the port that it sends to; to the bridge it is the autopilot.
     """
 
-    def __init__(self, sitl, bridge):
-        self._sitl, self._bridge = ("127.0.0.1", sitl), ("127.0.0.1", bridge)
-        self._up, self._down = self._open(self._sitl), self._open(self._bridge)
+    def __init__(self, sitl, companion, bridge):
+        self._sitl = ("127.0.0.1", sitl)
+        self._up = self._open(self._sitl, own_port=companion)
+        self._down = self._open(("127.0.0.1", bridge))
         self._lock = threading.Lock()
         self.cut = False
         """Nothing passes, either way."""
@@ -30,7 +30,7 @@ class MavlinkRelay:
         self.setpoints = []
         """When setpoints of the bridge came (wall clock), also those that were not passed on."""
         self._since_ms = 0
-        """What the autopilot's clock showed when it was started anew."""
+        """What is taken off the autopilot's clock."""
         self._newest_ms = 0
         self._decoder = mavlink.MAVLink(None)
         self._waiting = deque()
@@ -39,22 +39,25 @@ class MavlinkRelay:
         self._thread.start()
 
     @staticmethod
-    def _open(peer):
+    def _open(peer, own_port=0):
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        opened.bind(("127.0.0.1", own_port))
         opened.connect(peer)
         opened.setblocking(False)
         return opened
 
-    def restart_mavlink(self, jump_s=None):
-        """The autopilot's MAVLink side starts anew: its clock at 0 (or `jump_s` on), sequence numbers and rates too."""
+    def restart_mavlink(self):
+        """The autopilot's MAVLink side starts anew: its clock at 0, sequence numbers and rates as at power-on."""
         with self._lock:
-            if jump_s is None:
-                self._since_ms = self._newest_ms
-                self._up.close()
-                self._up = self._open(self._sitl)
-                self._decoder = mavlink.MAVLink(None)
-            else:
-                self._since_ms -= round(jump_s * 1000)
+            self._since_ms = self._newest_ms
+            self._up.close()
+            self._up = self._open(self._sitl)
+            self._decoder = mavlink.MAVLink(None)
+
+    def jump(self, seconds):
+        """The autopilot's clock shows so much more from now on."""
+        with self._lock:
+            self._since_ms -= round(seconds * 1000)
 
     def close(self):
         self._over.set()

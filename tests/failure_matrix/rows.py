@@ -148,6 +148,70 @@ _TABLE += (
         BOTH,
     ),
 )
+_TABLE += (
+    Row(
+        "MAVLink delay 500 ms",
+        "a UDP relay holds each datagram back for 500 ms, both ways, from slot 2 on",
+        "nobody's",
+        "flies on",
+        (End.LANDED,),
+        (0,),
+    ),
+    Row(
+        "link dead 3 s",
+        "a UDP relay passes nothing, both ways",
+        "bridge: no position for 1 s; PX4: COM_OF_LOSS_T, returns (ArduCopter: none)",
+        "flies its last velocity until it notices; no setpoints from 1 s on",
+        (End.HOME, End.LANDED),
+        (0, 3),
+        personalities=BOTH,
+    ),
+    Row(
+        "link dead 10 s",
+        "as above",
+        "as above; ArduCopter: FS_GCS_TIMEOUT, returns",
+        "returns by its autopilot's failsafe, obeyed when the link is back",
+        (End.HOME,),
+        (3,),
+        personalities=BOTH,
+    ),
+    Row(
+        "link dead 60 s",
+        "as above",
+        "as above; bridge: silence of 3 s on the wall clock",
+        "as above",
+        (End.HOME,),
+        (3,),
+        personalities=BOTH,
+    ),
+    Row(
+        "autopilot's MAVLink side restarted in flight",
+        "a UDP relay: time since boot from 0, sequence numbers and rates as at power-on; the airframe flies on",
+        "bridge: the clock went back",
+        "its autopilot's failsafe acts; no setpoints",
+        (End.HOME,),
+        (3,),
+        (("failsafe", "clock went back"),),
+        personalities=BOTH,
+    ),
+    Row(
+        "autopilot's clock jumps 5 s back",
+        "a UDP relay: time since boot 5 s less",
+        "bridge: the clock went back",
+        "as above",
+        (End.HOME,),
+        (3,),
+        (("failsafe", "clock went back"),),
+    ),
+    Row(
+        "autopilot's clock jumps 5 s ahead",
+        "a UDP relay: time since boot 5 s more",
+        "bridge: steps skipped, counted",
+        "holds for want of actions in slots that were over at once, flies on",
+        (End.LANDED,),
+        (0,),
+    ),
+)
 ROWS = {row.fault: row for row in _TABLE}
 
 
