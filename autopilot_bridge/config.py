@@ -217,8 +217,8 @@ class BridgeConfig(Strict):
         wrong = holds_box(fence, self.box)
         if wrong:
             raise ValueError(f"fence{wrong}")
-        start = np.array(self.start_position_enu)[:2]
-        if not isinstance(fence, Box) and not fence.holds(np.array([np.zeros(2), start])):
+        start = self.start_position_enu[:2]
+        if not isinstance(fence, Box) and not fence.holds([(0.0, 0.0), start]):
             raise ValueError(
                 f"fence: must hold the straight way from home (0, 0) to the start ({start[0]:g}, {start[1]:g})"
             )

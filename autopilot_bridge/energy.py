@@ -9,13 +9,14 @@ braking, the autopilot's hovering before it descends and lands.
 """
 
 import math
+from functools import cached_property
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from airframe.power import NO_PANEL, Panel, RotaryWing, total_power
-from airframe.slot_profile import Vector
+from airframe.pulse import Triple
+from airframe.slot_profile import Vector, triple
 from autopilot_bridge.fence import Strict
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -38,14 +39,20 @@ class Endurance(Strict):
     wing: RotaryWing = RotaryWing()
     panel: Panel = NO_PANEL
 
-    def needed_j(self, position: Vector) -> float:
+    def needed_j(self, position: Vector | Triple) -> float:
         """Energy [J], margin included, to be home and down from a standstill at `position` [m, ENU about home]."""
-        distance, height = float(np.hypot(position[0], position[1])), max(float(position[2]), 0.0)
+        east, north, up = triple(position)
+        height = max(up, 0.0)
         top = max(height, self.return_altitude_m)
-        climb = self._power(0.0, self.climb_mps) * (top - height) / self.climb_mps
-        way = self._power(self.cruise_mps, 0.0) * distance / self.cruise_mps
-        descent = self._power(0.0, 0.0) * top / self.descent_mps
-        return (1 + self.margin) * (climb + way + descent)
+        climb, way, descent = self._per_metre_j
+        return (1 + self.margin) * (climb * (top - height) + way * math.hypot(east, north) + descent * top)
+
+    @cached_property
+    def _per_metre_j(self) -> tuple[float, float, float]:
+        """Of climb, of the way home, and of descent."""
+        climb = self._power(0.0, self.climb_mps) / self.climb_mps
+        way = self._power(self.cruise_mps, 0.0) / self.cruise_mps
+        return climb, way, self._power(0.0, 0.0) / self.descent_mps
 
     def _power(self, forward_mps: float, climb_mps: float) -> float:
         """[W], the panel broadside to the way."""

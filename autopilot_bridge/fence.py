@@ -2,21 +2,29 @@
 
 Altitude is height above home, and above the ground, which is taken to be flat and as high as home.
 
-A path in plan is a polyline, shape (n, 2). Whether a shape holds it is asked of all of it: for a convex shape its
-vertices tell, for a polygon its edges have to be looked at too. A path held by a shape may touch its boundary.
+A path in plan is a polyline. Whether a shape holds it is asked of all of it: for a convex shape its corners tell, for a
+polygon what lies between them too. A path held by a shape may touch its boundary.
+
+Plain floats throughout: the envelope asks this dozens of times for every setpoint.
 """
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Annotated
+from itertools import pairwise
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag
 from pydantic import Strict as StrictTypes
 
-Plan = NDArray[np.float64]
-"""Shape (2,) or (n, 2): east, north."""
+from airframe.slot_profile import Vector, triple
+
+Point = tuple[float, float]
+"""East, north [m]; also a direction."""
+Path = Sequence[Point]
+"""The corners of a polyline; of a single point, itself."""
 Coordinate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 Pair = Annotated[tuple[Coordinate, Coordinate], StrictTypes(False)]
 Vec3 = tuple[float, float, float]
@@ -27,6 +35,22 @@ HOME_M = 10.0
 """Room about home that a vehicle on its way to a far box needs."""
 MOST_VERTICES = 200
 APART_M = 0.01
+
+
+class Bound(Protocol):
+    """What in plan must not be left."""
+
+    def holds(self, path: Path) -> bool:
+        """Whether all of it is inside."""
+
+    def beyond_m(self, path: Path) -> float:
+        """How far its furthest corner is outside [m]; 0 inside."""
+
+    def wall(self, path: Path) -> Point:
+        """Outward unit normal of what is in the way of it."""
+
+    def near(self, place: Point, radius_m: float) -> "Bound | None":
+        """The same for paths that stay within `radius_m` of `place`; None when no such path is in its way."""
 
 
 class Strict(BaseModel):
@@ -47,7 +71,7 @@ def _simple(vertices: tuple[tuple[float, float], ...]) -> tuple[tuple[float, flo
     for first, second in zip(vertices, (*vertices[1:], vertices[0]), strict=True):
         if math.dist(first, second) < APART_M:
             raise ValueError(f"vertices {first} and {second} must be {APART_M:g} m apart at least")
-    crossing = _crossing(np.array(vertices))
+    crossing = _crossing(vertices)
     if crossing is not None:
         raise ValueError(f"its sides from {vertices[crossing[0]]} and from {vertices[crossing[1]]} must not meet")
     return vertices
@@ -80,7 +104,7 @@ class Box(Strict):
         return self.z
 
     @property
-    def corners(self) -> Plan:
+    def corners(self) -> NDArray[np.float64]:
         """In plan, shape (4, 2), counter-clockwise."""
         (west, east), (south, north) = self.x, self.y
         return np.array([(west, south), (east, south), (east, north), (west, north)])
@@ -106,28 +130,24 @@ class Box(Strict):
         """With room for the way between home and the box."""
         return self.hull((-HOME_M, -HOME_M, -1.0)).hull((HOME_M, HOME_M, 0.0))
 
-    def holds(self, path: Plan) -> bool:
+    def holds(self, path: Path) -> bool:
         return self.beyond_m(path) <= TOUCH_M
 
-    def beyond_m(self, path: Plan) -> float:
-        """How far the path's furthest vertex is outside [m]; 0 inside."""
-        over = np.maximum(self._over(path), 0.0)
-        return float(np.hypot(over[..., 0], over[..., 1]).max())
+    def beyond_m(self, path: Path) -> float:
+        (west, east), (south, north) = self.x, self.y
+        return max([math.hypot(max(west - x, 0.0, x - east), max(south - y, 0.0, y - north)) for x, y in path])
 
-    def wall(self, path: Plan) -> Plan:
-        """The outward normal of the wall that is in the way of the path's end."""
-        end = path[-1]
-        over = self._over(end)
-        axis = int(np.argmax(over))
-        normal = np.zeros(2)
-        normal[axis] = 1.0 if end[axis] > sum(self.spans[axis]) / 2 else -1.0
-        return normal
+    def wall(self, path: Path) -> Point:
+        (west, east), (south, north) = self.x, self.y
+        x, y = path[-1]
+        if max(west - x, x - east) >= max(south - y, y - north):
+            return (1.0 if x > (west + east) / 2 else -1.0), 0.0
+        return 0.0, (1.0 if y > (south + north) / 2 else -1.0)
 
-    def _over(self, points: Plan) -> Plan:
-        """By how much each coordinate is outside its span, negative inside."""
-        low, high = np.array([self.x, self.y]).T
-        over: Plan = np.maximum(low - points, points - high)
-        return over
+    def near(self, place: Point, radius_m: float) -> "Box | None":
+        (west, east), (south, north) = self.x, self.y
+        room_m = min(place[0] - west, east - place[0], place[1] - south, north - place[1])
+        return None if room_m >= radius_m else self
 
 
 class Cylinder(Strict):
@@ -140,14 +160,17 @@ class Cylinder(Strict):
     def down_to_home(self) -> "Cylinder":
         return self.model_copy(update={"altitude": _to_the_ground(self.altitude)})
 
-    def holds(self, path: Plan) -> bool:
+    def holds(self, path: Path) -> bool:
         return self.beyond_m(path) <= TOUCH_M
 
-    def beyond_m(self, path: Plan) -> float:
-        return max(0.0, float(np.hypot(*(np.atleast_2d(path) - self.centre).T).max()) - self.radius)
+    def beyond_m(self, path: Path) -> float:
+        return max(0.0, max([math.dist(point, self.centre) for point in path]) - self.radius)
 
-    def wall(self, path: Plan) -> Plan:
-        return _unit(path[-1] - self.centre)
+    def wall(self, path: Path) -> Point:
+        return unit(path[-1][0] - self.centre[0], path[-1][1] - self.centre[1])
+
+    def near(self, place: Point, radius_m: float) -> "Cylinder | None":
+        return None if math.dist(place, self.centre) + radius_m <= self.radius else self
 
 
 class Polygon(Strict):
@@ -159,88 +182,162 @@ class Polygon(Strict):
     def down_to_home(self) -> "Polygon":
         return self.model_copy(update={"altitude": _to_the_ground(self.altitude)})
 
-    def holds(self, path: Plan) -> bool:
-        """Every segment is cut where it meets a side; each piece is inside if its middle is."""
-        starts, ways = path[:-1], np.diff(path, axis=0)
-        if len(path) == 1 or self._well_inside(path):
-            return self.beyond_m(path[:1]) <= TOUCH_M
-        shares = self._meetings(starts, ways)
-        cuts = np.sort(np.concatenate([np.zeros((len(ways), 1)), shares, np.ones((len(ways), 1))], axis=1), axis=1)
-        middles = (cuts[:, 1:] + cuts[:, :-1]) / 2
-        points = starts[:, None] + middles[..., None] * ways[:, None]
-        return self.beyond_m(points[np.diff(cuts, axis=1) > 1e-12]) <= TOUCH_M if ways.any() else True
+    def holds(self, path: Path) -> bool:
+        vicinity = self.near(path[0], max([math.dist(path[0], point) for point in path]))
+        return vicinity is None or vicinity.holds(path)
 
-    def beyond_m(self, path: Plan) -> float:
-        points = np.atleast_2d(path)
-        if not len(points):
-            return 0.0
-        distances = np.where(self._inside(points), 0.0, self._to_sides(points).min(axis=1))
-        return float(distances.max())
+    def beyond_m(self, path: Path) -> float:
+        return max([0.0 if self._inside(point) else min(self._distances_m(point)) for point in path])
 
-    def wall(self, path: Plan) -> Plan:
-        """Of the side that the path meets first; of the nearest one where it meets none."""
-        starts, ways = path[:-1], np.diff(path, axis=0)
-        shares = self._meetings(starts, ways)
-        normals = self._normals
-        outward = ways @ normals.T > 1e-12  # along a side is no meeting
-        shares = np.where(outward & (shares > 0.0), shares, 1.0)
-        for row in shares:
-            if row.min() < 1.0:
-                met: Plan = normals[int(np.argmin(row))]
-                return met
-        nearest: Plan = normals[int(np.argmin(self._to_sides(path[-1:])))]
-        return nearest
+    def wall(self, path: Path) -> Point:
+        """Of the side that the path meets first; where it meets none, away from the nearest one."""
+        return _wall(self._sides, path)
+
+    def near(self, place: Point, radius_m: float) -> "_Vicinity | None":
+        inside, radius_m = self._inside(place), radius_m + TOUCH_M
+        sides = [side for side in self._sides if side.touches(place, place, 2 * radius_m)]
+        return None if inside and not sides else _Vicinity(self, sides, radius_m, inside)
 
     @cached_property
-    def _sides(self) -> tuple[Plan, Plan]:
-        """Where each side begins, and its way; counter-clockwise."""
-        vertices = np.array(self.polygon)
-        if _area(vertices) < 0:
-            vertices = vertices[::-1]
-        return vertices, np.roll(vertices, -1, axis=0) - vertices
+    def _sides(self) -> tuple["_Side", ...]:
+        """Counter-clockwise."""
+        vertices = self.polygon if _area(self.polygon) > 0 else self.polygon[::-1]
+        edges = list(zip(vertices, (*vertices[1:], vertices[0]), strict=True))
+        outward = [unit(bn - an, ae - be) for (ae, an), (be, bn) in edges]
+        return tuple(
+            _Side(*edge, outward[i], _sum(outward[i - 1], outward[i]), _sum(outward[i], outward[(i + 1) % len(edges)]))
+            for i, edge in enumerate(edges)
+        )
 
-    @cached_property
-    def _normals(self) -> Plan:
-        """Outward, one per side."""
-        _, ways = self._sides
-        outward = np.stack([ways[:, 1], -ways[:, 0]], axis=1)
-        normals: Plan = outward / np.linalg.norm(outward, axis=1, keepdims=True)
-        return normals
-
-    def _well_inside(self, path: Plan) -> bool:
-        """Whether the path stays nearer to its start than any side is."""
-        extent = float(np.hypot(*(path - path[0]).T).max())
-        return extent < float(self._to_sides(path[:1]).min())
-
-    def _inside(self, points: Plan) -> NDArray[np.bool_]:
-        """By the number of sides to the east of each point."""
-        begins, ways = self._sides
-        x, y = points[:, 0, None], points[:, 1, None]
-        ends = np.roll(begins[:, 1], -1)  # not the sum with the way: rounding could put a corner on both sides
-        astride = (begins[:, 1] > y) != (ends > y)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at = begins[:, 0] + (y - begins[:, 1]) / ways[:, 1] * ways[:, 0]
-        odd: NDArray[np.bool_] = (astride & (at > x)).sum(axis=1) % 2 == 1
+    def _inside(self, point: Point) -> bool:
+        """By the number of sides to the east of it."""
+        x, y = point
+        odd = False
+        for (ax, ay), (bx, by), *_ in self._sides:
+            if (ay > y) != (by > y) and ax + (y - ay) / (by - ay) * (bx - ax) > x:
+                odd = not odd
         return odd
 
-    def _to_sides(self, points: Plan) -> NDArray[np.float64]:
-        """Distance of each point from each side, shape (points, sides)."""
-        begins, ways = self._sides
-        apart = points[:, None] - begins
-        share = np.clip((apart * ways).sum(axis=2) / (ways * ways).sum(axis=1), 0.0, 1.0)
-        distances: NDArray[np.float64] = np.linalg.norm(apart - share[..., None] * ways, axis=2)
-        return distances
+    def _distances_m(self, point: Point) -> list[float]:
+        return [abs(side.beyond_m(point)) for side in self._sides]
 
-    def _meetings(self, starts: Plan, ways: Plan) -> NDArray[np.float64]:
-        """How far along each segment it meets each side, as a share; 1 where it does not. Shape (segments, sides)."""
-        begins, sides = self._sides
-        apart = begins - starts[:, None]
-        across = _cross(ways[:, None], sides)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share, along = _cross(apart, sides) / across, _cross(apart, ways[:, None]) / across
-        near = TOUCH_M / np.linalg.norm(sides, axis=1)
-        meet = (abs(across) > 1e-12) & (share >= 0) & (share <= 1) & (along >= -near) & (along <= 1 + near)
-        return np.where(meet, share, 1.0)
+
+class _Side(NamedTuple):
+    """Of a polygon; `outward` is its own normal, the others, longer or shorter, are those of its ends."""
+
+    begin: Point
+    end: Point
+    outward: Point
+    outward_at_begin: Point
+    outward_at_end: Point
+
+    def beyond_m(self, point: Point) -> float:
+        """Distance from the side, negative on its inner side; the sign counts where no other side is nearer."""
+        (ax, ay), (bx, by), (nx, ny), at_begin, at_end = self
+        x, y = point
+        dx, dy = x - ax, y - ay
+        along = dy * nx - dx * ny  # the normal turned to the left is the side's direction
+        if along <= 0.0:
+            return math.copysign(math.hypot(dx, dy), dx * at_begin[0] + dy * at_begin[1])
+        dx, dy = x - bx, y - by
+        if dy * nx - dx * ny >= 0.0:
+            return math.copysign(math.hypot(dx, dy), dx * at_end[0] + dy * at_end[1])
+        return dx * nx + dy * ny
+
+    def away(self, point: Point) -> Point:
+        """The direction in which `beyond_m` grows."""
+        beyond_m = self.beyond_m(point)
+        for x, y in (self.begin, self.end):
+            dx, dy = point[0] - x, point[1] - y
+            if beyond_m and math.hypot(dx, dy) == abs(beyond_m):  # past that end
+                return dx / beyond_m, dy / beyond_m
+        return self.outward
+
+    def touches(self, low: Point, high: Point, margin_m: float) -> bool:
+        """Whether its bounding box meets another, grown by a margin."""
+        (ax, ay), (bx, by), *_ = self
+        return (
+            (ax if ax < bx else bx) - margin_m <= high[0]
+            and (ax if ax > bx else bx) + margin_m >= low[0]
+            and (ay if ay < by else by) - margin_m <= high[1]
+            and (ay if ay > by else by) + margin_m >= low[1]
+        )
+
+    def meeting(self, p: Point, q: Point) -> float | None:
+        """The share of the way from p to q at which it meets the side; a parallel does not."""
+        (ax, ay), (bx, by), *_ = self
+        wx, wy, sx, sy = q[0] - p[0], q[1] - p[1], bx - ax, by - ay
+        across = wx * sy - wy * sx
+        if abs(across) <= 1e-12:
+            return None
+        dx, dy = ax - p[0], ay - p[1]
+        share = (dx * sy - dy * sx) / across
+        if not 0.0 <= share <= 1.0:
+            return None
+        along, slack = (dx * wy - dy * wx) / across, TOUCH_M / math.hypot(sx, sy)
+        return share if -slack <= along <= 1.0 + slack else None
+
+
+class _Vicinity(NamedTuple):
+    """A polygon as it looks to paths that stay within `radius_m` of a place."""
+
+    polygon: Polygon
+    sides: list[_Side]
+    """All that are nearer to the place than twice as far, and perhaps others."""
+    radius_m: float
+    inside: bool
+    """Whether the place is."""
+
+    def holds(self, path: Path) -> bool:
+        """Every segment is cut where it meets a side; each piece is inside if its middle is."""
+        if len(path) == 1:
+            return self._keeps(path[0])
+        xs, ys = [x for x, _ in path], [y for _, y in path]
+        low, high = (min(xs), min(ys)), (max(xs), max(ys))
+        met = [side for side in self.sides if side.touches(low, high, TOUCH_M)]
+        if not met:
+            return self._keeps(path[0])
+        for p, q in pairwise(path):
+            cuts = sorted([0.0, *[share for side in met if (share := side.meeting(p, q)) is not None], 1.0])
+            for first, last in pairwise(cuts):
+                middle = (first + last) / 2
+                if last - first > 1e-12 and not self._keeps(
+                    (p[0] + middle * (q[0] - p[0]), p[1] + middle * (q[1] - p[1]))
+                ):
+                    return False
+        return True
+
+    def beyond_m(self, path: Path) -> float:
+        return self.polygon.beyond_m(path)
+
+    def wall(self, path: Path) -> Point:
+        return _wall(self.sides or self.polygon._sides, path)
+
+    def near(self, place: Point, radius_m: float) -> "_Vicinity | None":
+        return self.polygon.near(place, radius_m)
+
+    def _keeps(self, point: Point) -> bool:
+        """By the side that is nearest. Where none is within the radius, there is none between it and the place."""
+        nearest, least = math.inf, math.inf
+        for side in self.sides:
+            beyond_m = side.beyond_m(point)
+            if abs(beyond_m) < least:
+                nearest, least = beyond_m, abs(beyond_m)
+        return self.inside if least > self.radius_m else nearest <= TOUCH_M
+
+
+def _wall(sides: Sequence[_Side], path: Path) -> Point:
+    """See `Polygon.wall`; sharp corners point away from themselves."""
+    for p, q in pairwise(path):
+        first, outward = 1.0, None
+        for side in sides:
+            leaves = (q[0] - p[0]) * side.outward[0] + (q[1] - p[1]) * side.outward[1] > 1e-12  # along it is no meeting
+            share = side.meeting(p, q) if leaves else None
+            if share is not None and 0.0 < share < first:
+                first, outward = share, side.outward
+        if outward is not None:
+            return outward
+    return min(sides, key=lambda side: abs(side.beyond_m(path[-1]))).away(path[-1])
 
 
 def _kind(fence: object) -> str:
@@ -264,10 +361,11 @@ def lowered(fence: Box | Polygon | Cylinder, ceiling_m: float) -> Box | Polygon 
     return fence.model_copy(update={"z" if isinstance(fence, Box) else "altitude": altitude})
 
 
-def outside_m(fence: Box | Polygon | Cylinder, position: NDArray[np.float64]) -> float:
+def outside_m(fence: Box | Polygon | Cylinder, position: Vector) -> float:
     """How far outside a position (3,) is, sideways or vertically, whichever is more [m]; 0 inside."""
     low, high = fence.altitude
-    return max(fence.beyond_m(position[:2]), low - float(position[2]), float(position[2]) - high, 0.0)
+    east, north, up = triple(position)
+    return max(fence.beyond_m([(east, north)]), low - up, up - high, 0.0)
 
 
 def holds_box(fence: Box | Polygon | Cylinder, box: Box) -> str:
@@ -280,8 +378,8 @@ def holds_box(fence: Box | Polygon | Cylinder, box: Box) -> str:
         return ""
     if low > box.z[0] or high < box.z[1]:
         return f".altitude: ({low:g}, {high:g}) must hold the box's ({box.z[0]:g}, {box.z[1]:g})"
-    corners = box.corners
-    if not fence.holds(np.vstack([corners, corners[:1]])):
+    corners: list[Point] = [(east, north) for east, north in box.corners.tolist()]
+    if not fence.holds([*corners, corners[0]]):
         x, y = box.x, box.y
         return f": must hold the box's ({x[0]:g}, {x[1]:g}) x ({y[0]:g}, {y[1]:g})"
     return ""
@@ -291,46 +389,52 @@ def _to_the_ground(altitude: Span) -> Span:
     return min(altitude[0], -1.0), altitude[1]
 
 
-def _unit(vector: Plan) -> Plan:
-    unit: Plan = vector / max(float(np.hypot(*vector)), 1e-12)
-    return unit
+def unit(east: float, north: float) -> Point:
+    """The direction of a vector; zero of none."""
+    length = max(math.hypot(east, north), 1e-12)
+    return east / length, north / length
 
 
-def _cross(a: Plan, b: Plan) -> NDArray[np.float64]:
-    product: NDArray[np.float64] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return product
+def _sum(a: Point, b: Point) -> Point:
+    return a[0] + b[0], a[1] + b[1]
 
 
-def _area(vertices: Plan) -> float:
-    """Signed, positive when counter-clockwise."""
-    return float(_cross(vertices, np.roll(vertices, -1, axis=0)).sum()) / 2
+def _cross(a: Point, b: Point, c: Point) -> float:
+    """Twice the signed area of a triangle, positive when counter-clockwise."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def _crossing(vertices: Plan) -> tuple[int, int] | None:
+def _area(vertices: Path) -> float:
+    """Signed, positive when counter-clockwise; from its first vertex, so that far from home nothing cancels."""
+    return sum(_cross(vertices[0], b, c) for b, c in pairwise(vertices[1:])) / 2
+
+
+def _crossing(vertices: Path) -> tuple[int, int] | None:
     """Two sides, by their first vertices, that meet without being neighbours, or fold back on each other."""
     count = len(vertices)
-    ends = np.roll(vertices, -1, axis=0)
     for one in range(count):
         for other in range(one + 1, count):
-            a, b, c, d = vertices[one], ends[one], vertices[other], ends[other]
+            a, b, c, d = vertices[one], vertices[one + 1], vertices[other], vertices[(other + 1) % count]
             if other == one + 1 or (one == 0 and other == count - 1):
                 shared, first, second = (b, a, d) if other == one + 1 else (a, b, c)
-                folded = _cross(first - shared, second - shared) == 0 and np.dot(first - shared, second - shared) > 0
-                if folded:
+                ahead = (first[0] - shared[0]) * (second[0] - shared[0]) + (first[1] - shared[1]) * (
+                    second[1] - shared[1]
+                )
+                if ahead > 0 and _cross(shared, first, second) == 0:
                     return one, other
             elif _segments_meet(a, b, c, d):
                 return one, other
     return None
 
 
-def _segments_meet(a: Plan, b: Plan, c: Plan, d: Plan) -> bool:
+def _segments_meet(a: Point, b: Point, c: Point, d: Point) -> bool:
     """Also where one only touches the other."""
     corners = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-    sides = [float(_cross(second - first, third - first)) for first, second, third in corners]
+    sides = [_cross(*corner) for corner in corners]
     if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
         return True
 
-    def on(p: Plan, q: Plan, r: Plan, side: float) -> bool:
-        return side == 0 and bool((np.minimum(p, q) <= r).all() and (r <= np.maximum(p, q)).all())
+    def on(p: Point, q: Point, r: Point) -> bool:
+        return all(min(p[axis], q[axis]) <= r[axis] <= max(p[axis], q[axis]) for axis in (0, 1))
 
-    return any(on(*corner, side) for corner, side in zip(corners, sides, strict=True))
+    return any(side == 0 and on(*corner) for corner, side in zip(corners, sides, strict=True))

@@ -8,12 +8,15 @@ vehicles, stay apart by the separation. Braking draws a stop back along itself, 
 Apart means in plan, whatever the heights: below another multicopter the air comes down.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from airframe.slot_profile import Vector
-from autopilot_bridge.fence import TOUCH_M, Plan
+from autopilot_bridge.fence import TOUCH_M, Path, Point
+
+Segment = Sequence[Point]
+"""Two points."""
 
 
 @dataclass(frozen=True)
@@ -32,61 +35,66 @@ class Track:
 class HalfPlane:
     """Points x with (x - `through`) . `outward` <= 0."""
 
-    through: Plan
-    outward: Plan
+    through: Point
+    outward: Point
 
-    def holds(self, path: Plan) -> bool:
+    def holds(self, path: Path) -> bool:
         return self.beyond_m(path) <= TOUCH_M
 
-    def beyond_m(self, path: Plan) -> float:
-        return max(0.0, float(((path - self.through) @ self.outward).max()))
+    def beyond_m(self, path: Path) -> float:
+        (x, y), (nx, ny) = self.through, self.outward
+        return max(0.0, max([(east - x) * nx + (north - y) * ny for east, north in path]))
 
-    def wall(self, path: Plan) -> Plan:
+    def wall(self, path: Path) -> Point:
         return self.outward
 
+    def near(self, place: Point, radius_m: float) -> "HalfPlane | None":
+        (x, y), (nx, ny) = self.through, self.outward
+        return None if (place[0] - x) * nx + (place[1] - y) * ny + radius_m <= 0.0 else self
 
-def own_side(own_stop: Plan, other_stop: Plan, separation_m: float) -> HalfPlane:
-    """Where we may be, for stops (2, 2) from position to standstill."""
+
+def own_side(own_stop: Segment, other_stop: Segment, separation_m: float) -> HalfPlane:
+    """Where we may be, for the straight ways from position to standstill."""
     ours, theirs = nearest_points(own_stop, other_stop)
-    gap = theirs - ours
-    distance = float(np.hypot(*gap))
+    gap = theirs[0] - ours[0], theirs[1] - ours[1]
+    distance = math.hypot(*gap)
     if distance < 1e-9:  # it is too late for a plane between them: away from the other's position
-        gap = other_stop[0] - own_stop[0]
-        distance = float(np.hypot(*gap))
-    outward = gap / distance if distance > 1e-9 else np.array([1.0, 0.0])
-    return HalfPlane((ours + theirs) / 2 - outward * (separation_m / 2), outward)
+        gap = other_stop[0][0] - own_stop[0][0], other_stop[0][1] - own_stop[0][1]
+        distance = math.hypot(*gap)
+    outward = (gap[0] / distance, gap[1] / distance) if distance > 1e-9 else (1.0, 0.0)
+    half = separation_m / 2
+    middle = (ours[0] + theirs[0]) / 2, (ours[1] + theirs[1]) / 2
+    return HalfPlane((middle[0] - outward[0] * half, middle[1] - outward[1] * half), outward)
 
 
-def nearest_points(first: Plan, second: Plan) -> tuple[Plan, Plan]:
-    """Of two segments (2, 2), the pair of points that are nearest to each other."""
+def nearest_points(first: Segment, second: Segment) -> tuple[Point, Point]:
+    """Of two segments, the pair of points that are nearest to each other."""
     meeting = _meeting(first, second)
     if meeting is not None:
         return meeting, meeting
     pairs = [(point, _onto(point, second)) for point in first]
     pairs += [(_onto(point, first), point) for point in second]
-    return min(pairs, key=lambda pair: float(np.hypot(*(pair[0] - pair[1]))))
+    return min(pairs, key=lambda pair: math.dist(*pair))
 
 
-def _onto(point: Plan, segment: Plan) -> Plan:
+def _onto(point: Point, segment: Segment) -> Point:
     """The segment's nearest point."""
-    way = segment[1] - segment[0]
-    length = float(way @ way)
-    share = min(max(float((point - segment[0]) @ way) / length, 0.0), 1.0) if length > 0 else 0.0
-    nearest: Plan = segment[0] + share * way
-    return nearest
+    (ax, ay), (bx, by) = segment
+    wx, wy = bx - ax, by - ay
+    squared = wx * wx + wy * wy
+    share = min(max(((point[0] - ax) * wx + (point[1] - ay) * wy) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+    return ax + share * wx, ay + share * wy
 
 
-def _meeting(first: Plan, second: Plan) -> Plan | None:
+def _meeting(first: Segment, second: Segment) -> Point | None:
     """Where two segments cross, if they do."""
-    p, r = first[0], first[1] - first[0]
-    q, s = second[0], second[1] - second[0]
-    across = r[0] * s[1] - r[1] * s[0]
+    ((px, py), (rx, ry)), ((qx, qy), (sx, sy)) = first, second
+    rx, ry, sx, sy = rx - px, ry - py, sx - qx, sy - qy
+    across = rx * sy - ry * sx
     if abs(across) < 1e-12:
         return None
-    apart = q - p
-    share = (apart[0] * s[1] - apart[1] * s[0]) / across
-    other = (apart[0] * r[1] - apart[1] * r[0]) / across
-    if not (0 <= share <= 1 and 0 <= other <= 1):
+    dx, dy = qx - px, qy - py
+    share, other = (dx * sy - dy * sx) / across, (dx * ry - dy * rx) / across
+    if not (0.0 <= share <= 1.0 and 0.0 <= other <= 1.0):
         return None
-    point: Plan = p + share * r
-    return point
+    return px + share * rx, py + share * ry

@@ -158,7 +158,7 @@ def test_a_polygon_holds_a_line_that_begins_inside_and_crosses_no_side(vertices,
         left_of(a, b, p) != left_of(a, b, q) and left_of(p, q, a) != left_of(p, q, b)
         for a, b in zip(vertices, vertices[1:] + vertices[:1], strict=True)
     )
-    held = Polygon(polygon=vertices, altitude=BAND).holds(line)
+    held = Polygon(polygon=vertices, altitude=BAND).holds(line.tolist())
     assert held == (winding_number(p, vertices) != 0 and not crosses)
 
 
@@ -216,6 +216,18 @@ def test_a_vehicle_that_was_blown_out_may_come_back_but_not_go_further(fence):
     further = gate.clip(np.array([1.0, 0.0, 0.0]), out, np.zeros(3))
     assert further.velocity == pytest.approx(np.zeros(3), abs=1e-3)
     assert further.reasons == ("fence",)
+
+
+@pytest.mark.parametrize("beside", [-1.0, 0.0, 1.0])
+def test_a_vehicle_blown_out_past_a_sharp_corner_is_called_straight_back(beside):
+    """Against the normal of either side it would be sent past the corner."""
+    needle = Polygon(polygon=((0, 0), (-60, -4), (-60, 4)), altitude=BAND)
+    gate = Envelope(LIMITS, needle, 0.5, STEP_S, lambda velocity, yaw: None)
+    out, velocity = np.array([3.0, beside, 20.0]), np.array([0.5, 0.0, 0.0])
+    sent = gate.clip(np.array([2.0, 0.0, 0.0]), out, velocity)
+    stop = gate.stop(out, velocity)[:2]
+    assert sent.reasons == ("fence",)
+    assert sent.velocity[:2] / np.linalg.norm(sent.velocity) == pytest.approx(-stop / np.linalg.norm(stop), abs=0.01)
 
 
 @pytest.mark.parametrize(

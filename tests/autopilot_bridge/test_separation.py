@@ -99,8 +99,8 @@ def test_the_whole_way_of_one_that_is_nobodys_is_kept_from():
 
 @given(arrays(float, (2, 2, 2), elements=st.floats(-20, 20)))
 def test_the_nearest_points_of_two_segments(segments):
-    ours, theirs = nearest_points(*segments)
+    ours, theirs = nearest_points(*segments.tolist())
     shares = np.linspace(0, 1, 150)[:, None]
     first, second = (segment[0] + shares * (segment[1] - segment[0]) for segment in segments)
-    assert np.hypot(*(ours - theirs)) == pytest.approx(apart(first, second), abs=0.4)
-    assert np.hypot(*(ours - theirs)) <= apart(first, second) + 1e-9
+    assert math.dist(ours, theirs) == pytest.approx(apart(first, second), abs=0.4)
+    assert math.dist(ours, theirs) <= apart(first, second) + 1e-9
