@@ -286,7 +286,7 @@ class MavlinkVehicle(Vehicle):
 
     def _require_alone(self) -> None:
         """Raises VehicleError when it is no multicopter, or not the only one on the link."""
-        objection = self._link.roll_call.objection() if self._home_held else ""
+        objection = self._link.roll_call.objection()
         if objection:
             raise VehicleError(f"autopilot at {self._link.url}: {objection}")
 
