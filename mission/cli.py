@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
@@ -13,11 +13,6 @@ from typer.exceptions import TyperException
 from mission.reproduce import FIGURES, ReproduceError
 from sitl.cli import sitl
 from sitl.conformance.cli import conformance
-
-if TYPE_CHECKING:
-    import zenoh
-
-    from mission.mission_file import Mission
 
 ERROR, BAD_INPUT = 1, 2
 ENDPOINT = re.compile(r"[a-z][a-z0-9_-]*/\S+")
@@ -56,6 +51,10 @@ def _known_figure(name: str) -> str:
 
 
 MissionOption = Annotated[Path, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")]
+VehiclesOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", callback=_names, help="Vehicle on the bus; else the mission's. Repeatable."),
+]
 VehicleOption = Annotated[str | None, typer.Option(metavar="NAME", help="Vehicle on the bus; else the mission's.")]
 ConnectOption = Annotated[
     list[str] | None,
@@ -82,13 +81,16 @@ def fly(
 ) -> None:
     """Fly a mission: starts the nodes, supervises them, records and reports.
 
-    Exit codes: 0 flown as planned, 3 ended safely by failsafe, 1 error, 2 bad input.
+    Of one vehicle (`vehicle:`), or of several at the same time (`vehicles:`), each with a bridge of its own.
+
+    Exit codes: 0 flown as planned, 3 ended safely by failsafe, 1 error, 2 bad input; of several the worst: 1, 3, 0.
     """
     with _one_line_errors():
         from rich.console import Console
 
+        from mission.fleet import check, load
         from mission.fly import fly as fly_mission
-        from mission.mission_file import MissionError, check, load
+        from mission.mission_file import MissionError
 
         clock = None if speed is None else "paced"
         loaded = load(mission, seed=seed, clock=clock, speed=speed, slots=slots, output=output)
@@ -110,14 +112,7 @@ app.add_typer(rf, name="rf")
 def rf_node(
     context: typer.Context,
     mission: Annotated[Path | None, typer.Option("--mission", metavar="FILE", help="Mission file (YAML).")] = None,
-    vehicle: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            callback=_names,
-            help="Vehicle on the bus; else the mission's. Repeatable: a world for each.",
-        ),
-    ] = None,
+    vehicle: VehiclesOption = None,
     connect: ConnectOption = None,
     listen: ListenOption = LOOPBACK,
     zenoh_config: ConfigOption = None,
@@ -129,22 +124,23 @@ def rf_node(
     if mission is None:
         raise typer.BadParameter("none given, and the node needs one", param_hint="--mission")
     with _one_line_errors():
+        from bus.session import open_session
+        from mission.fleet import served
         from mission.mission_file import action_deadline_s
 
-        with _on_the_bus(mission, vehicle[0] if vehicle else None, zenoh_config, connect, listen) as (loaded, session):
-            from rf_model.node import run, vehicle_seeds
+        missions = served(mission, vehicle or ())
+        if len(missions) > 1:
+            for one in missions:
+                typer.echo(f"rf: {one.vehicle.name} has seed {one.seed}")
+        with open_session(zenoh_config, connect or (), listen) as session:
+            from rf_model.node import World, run
 
-            seeds = vehicle_seeds(loaded.seed, vehicle or [loaded.vehicle.name])
-            if len(seeds) > 1:
-                for name, seed in seeds.items():
-                    typer.echo(f"rf: {name} has seed {seed}")
             code = run(
-                loaded.scenario,
-                seeds,
+                {one.vehicle.name: World(one.scenario, one.seed) for one in missions},
                 session,
-                action_deadline_s=action_deadline_s(loaded),
+                action_deadline_s=action_deadline_s(missions[0]),
                 until_ended=until_ended,
-                ris=loaded.ris,
+                ris=missions[0].ris,
             )
         raise typer.Exit(code)
 
@@ -176,25 +172,23 @@ def evaluate(
 @app.command()
 def agent(
     mission: MissionOption,
-    vehicle: VehicleOption = None,
+    vehicle: VehiclesOption = None,
     connect: ConnectOption = None,
     listen: ListenOption = LOOPBACK,
     zenoh_config: ConfigOption = None,
     until_ended: UntilEndedOption = False,
 ) -> None:
-    """Run the agent node alone: one action for every channel state."""
+    """Run the agent node alone: one action for every channel state, of one vehicle or several."""
     with _one_line_errors():
-        with _on_the_bus(mission, vehicle, zenoh_config, connect, listen) as (loaded, session):
-            from agent.node import run
+        from bus.session import open_session
+        from mission.fleet import served
 
-            code = run(
-                loaded.policy,
-                loaded.scenario,
-                loaded.seed,
-                loaded.vehicle.name,
-                session,
-                until_ended=until_ended,
-            )
+        missions = served(mission, vehicle or ())
+        with open_session(zenoh_config, connect or (), listen) as session:
+            from agent.node import Task, run
+
+            tasks = {one.vehicle.name: Task(one.policy, one.scenario, one.seed) for one in missions}
+            code = run(tasks, session, until_ended=until_ended)
         raise typer.Exit(code)
 
 
@@ -215,8 +209,19 @@ def bridge(
     control: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="The SITL's control socket; lockstep needs it.")
     ] = None,
+    other: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            callback=_names,
+            help="Vehicle to keep limits.separation_m from; repeatable. Else the mission's others.",
+        ),
+    ] = None,
     tlog: Annotated[Path | None, typer.Option(metavar="FILE", help="MAVLink log to write.")] = None,
-    autostart: Annotated[bool, typer.Option("--autostart", help="Fly without waiting for the start command.")] = False,
+    autostart: Annotated[
+        bool,
+        typer.Option("--autostart", help="Fly without waiting for the start command, once the others are known."),
+    ] = False,
     put_back: Annotated[
         bool,
         typer.Option("--put-back/--no-put-back", help="After the flight, parameters are what they were before it."),
@@ -228,13 +233,16 @@ def bridge(
     """
     del until_ended
     with _one_line_errors():
+        from bus.session import open_session
+        from mission.fleet import one_of
         from mission.mission_file import bridge_config
 
-        with _on_the_bus(mission, vehicle, zenoh_config, connect, listen) as (loaded, session):
+        loaded, others = one_of(mission, vehicle)
+        with open_session(zenoh_config, connect or (), listen) as session:
             from autopilot_bridge.node import run
 
             config = bridge_config(loaded, autopilot=autopilot, control=control, autostart=autostart, put_back=put_back)
-            code = run(config, loaded.vehicle.name, session, tlog)
+            code = run(config, loaded.vehicle.name, session, tlog, other or others)
         raise typer.Exit(code)
 
 
@@ -313,19 +321,6 @@ def reproduce(
         from mission.reproduce.run import run
 
         run(figure, out, seed, episodes, Console())
-
-
-@contextmanager
-def _on_the_bus(
-    mission: Path, vehicle: str | None, config: Path | None, connect: list[str] | None, listen: str
-) -> "Iterator[tuple[Mission, zenoh.Session]]":
-    """What a node needs: the mission and a session."""
-    from bus.session import open_session
-    from mission.mission_file import load
-
-    loaded = load(mission, vehicle_name=vehicle)
-    with open_session(config, connect or (), listen) as session:
-        yield loaded, session
 
 
 @contextmanager

@@ -1,61 +1,50 @@
-"""`aerialstar fly`: start the nodes, watch the flight, bring everything home, report."""
+"""`aerialstar fly`: start the nodes, watch the flight, bring everything home, report.
 
-import os
+One vehicle is a fleet of one. Each has a bridge, a recording and an end of its own (`vehicle_flight`); radio and agent
+node serve all, and simulator processes play as many as they can (`embedded`).
+"""
+
 import queue
 import signal
-import socket
 import time
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import zenoh
 from rich.console import Console
 
-from bus import topics
-from bus.messages import Command, CommandName, LinkReport, MissionEvent, SlotOpened, VehicleState
+from bus.messages import CommandName
 from bus.session import free_endpoint, open_session
 from mission import run_folder
-from mission.flight_log import FILE_NAME as LOG_NAME
+from mission.embedded import Simulator, command, free_udp_ports, simulators
+from mission.fleet import Fleet, missions
 from mission.flight_log import FlightLogError
 from mission.mission_file import Mission
 from mission.progress import FlightView
-from mission.recorder import Recorder
-from mission.report import table, write
+from mission.report import Report, table, write
+from mission.summary import summary
 from mission.supervisor import Node, describe_exit, end_all, python
+from mission.vehicle_flight import AS_PLANNED, ERROR, FAILSAFE, Item, VehicleFlight, reason, told
 
-AS_PLANNED, ERROR, FAILSAFE = 0, 1, 3
-"""Exit codes; 2 is bad input."""
 START_S = 180.0
 """Wall clock for the nodes to come up; the first time the flight model and numba compile."""
 GATHER_S = 15.0
 """Wall clock for the nodes to end by themselves after the flight."""
-COME_DOWN_S = 600.0
-"""Wall clock for the vehicle to come down by its failsafe."""
-FAILSAFE_SPEED = 10.0
-"""How fast the embedded autopilot flies its failsafe after a lockstep flight lost its bridge: nobody's clock runs."""
-START_RETRY_S = 0.2
-"""Wall clock between two `start` commands, when the first was refused or not answered."""
-WITH_FAILSAFES = {"px4": {"COM_LOW_BAT_ACT": 3.0}, "arducopter": {"BATT_FS_LOW_ACT": 2.0}}
-"""What the embedded autopilot starts with besides its defaults, which leave a low battery to the pilot: it returns."""
-LOOP_NODES = ("bridge", "rf", "agent")
-BEFORE_START = ("connecting", "preflight", "ready", "ended")
-"""The bridge's phases in which no `start` need have been obeyed."""
-
-_Item = VehicleState | SlotOpened | LinkReport | MissionEvent | tuple[str, bool]
+WORST_FIRST = (ERROR, FAILSAFE, AS_PLANNED)
 
 
 class FlightError(RuntimeError):
     """The flight could not start, or ended in an error; one line says why."""
 
 
-def fly(mission: Mission, console: Console) -> int:
-    """Fly a checked mission and return the exit code; shows progress, table and run folder on `console`.
+def fly(mission: Mission | Fleet, console: Console) -> int:
+    """Fly a checked mission and return the exit code, of several vehicles the worst: 1, 3, 0; shows progress, tables
+    and run folder on `console`.
 
     No process is left behind, except for an embedded autopilot that a second Ctrl-C left in the air: it lands by its
     failsafe and ends. Raises MissionError when the run folder cannot be made, BusError when the bus cannot be opened,
-    FlightError when a node does not come up, the bridge ends in an error or the run folder is full (exit code 1).
+    FlightError when a node does not come up, a bridge ends in an error or the run folder is full (exit code 1).
     """
     run = run_folder.make(mission)
     flight = _Flight(mission, run, console)
@@ -65,14 +54,11 @@ def fly(mission: Mission, console: Console) -> int:
         except FlightError as error:
             raise FlightError(f"{error}; logs are in {run / 'logs'}") from error
         except OSError as error:
-            raise FlightError(f"{run}: {_reason(error)}") from error
+            raise FlightError(f"{run}: {reason(error)}") from error
         if mission.record.mcap and not flight.abandoned:
-            try:
-                report = write(run)
-            except (OSError, FlightLogError) as error:
-                raise FlightError(f"{run}: no report: {_reason(error)}") from error
-            if report.slots:
-                console.print(table(report))
+            flight.report()
+    if flight.errors:
+        raise FlightError(f"{'; '.join(flight.errors)}; logs are in {run / 'logs'}")
     console.print(f"run folder: {run}", highlight=False, soft_wrap=True)
     return code
 
@@ -91,26 +77,15 @@ def _interrupts(flight: "_Flight") -> Iterator[None]:
 
 
 class _Flight:
-    def __init__(self, mission: Mission, run: Path, console: Console) -> None:
-        self._mission, self._run, self._console = mission, run, console
+    def __init__(self, mission: Mission | Fleet, run: Path, console: Console) -> None:
+        self._mission, self._missions, self._run, self._console = mission, missions(mission), run, console
         self._view = FlightView(console)
-        self._inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
-        self._refused: Counter[str] = Counter()
-        self._nodes: dict[str, Node] = {}
+        self._inbox: queue.SimpleQueue[tuple[VehicleFlight, Item]] = queue.SimpleQueue()
+        self._vehicles: list[VehicleFlight] = []
+        self._shared: dict[str, Node] = {}
+        """Nodes that serve all vehicles: radio, agent, simulators."""
         self._gone: set[str] = set()
-        """Nodes whose death was dealt with."""
-        self._alive: set[str] = set()
-        self._armed = False
-        self._started = False
-        self._start_at = 0.0
-        """When to ask for the start again (monotonic clock)."""
-        self._unstarted = ""
-        """Why the last `start` was not taken."""
-        self._ended: MissionEvent | None = None
-        self._why = ""
-        """The last error or failsafe told."""
-        self._recorder: Recorder | None = None
-        self._recording_stopped = False
+        """Those whose death was dealt with."""
         self._interrupts = 0
         self._obeyed = 0
         self.abandoned = False
@@ -119,207 +94,202 @@ class _Flight:
         """Ctrl-C."""
         self._interrupts += 1
 
+    @property
+    def errors(self) -> list[str]:
+        """Of each vehicle that ended in one."""
+        return [f"{self._label(vehicle.mission)}{vehicle.error}" for vehicle in self._vehicles if vehicle.error]
+
     def run(self) -> int:
+        """Fly; the exit code. Raises FlightError when there was no flight, OSError."""
         endpoint = free_endpoint()
         with ExitStack() as stack:
             session = stack.enter_context(open_session(listen=endpoint))
-            if self._mission.record.mcap:
-                recorder = Recorder(session, self._mission.vehicle.name, self._run / LOG_NAME)
-                self._recorder = stack.enter_context(recorder)
-            declared = self._declare(session)
-            stack.callback(declared.clear)
+            for mission in self._missions:
+                view = self._view.vehicle(mission.vehicle.name, self._label(mission))
+                folder = run_folder.vehicle_folder(self._run, self._mission, mission)
+                vehicle = VehicleFlight(mission, folder, session, view, lambda *said: self._inbox.put(said))
+                stack.callback(vehicle.close)
+                self._vehicles.append(vehicle)
+            for vehicle in self._vehicles:
+                stack.callback(vehicle.leave)
             stack.callback(self._gather)
             stack.enter_context(self._view)
-            self._session = session
             self._start_nodes(endpoint)
             return self._watch()
 
-    def _declare(self, session: zenoh.Session) -> list[object]:
-        name, put = self._mission.vehicle.name, self._inbox.put
-        return [
-            topics.declare_alive(session, name, "mission"),
-            topics.watch_alive(session, name, lambda node, alive: put((node, alive))),
-            topics.subscribe(session, name, topics.STATE, put, self._refused),
-            topics.subscribe(session, name, topics.SLOT, put, self._refused),
-            topics.subscribe(session, name, topics.LINK, put, self._refused),
-            topics.subscribe(session, name, topics.EVENT, put, self._refused),
-        ]
+    def report(self) -> None:
+        """Write and show what each flight came to that did not end in an error. Raises FlightError."""
+        reports: dict[str, Report] = {}
+        for vehicle in self._vehicles:
+            if vehicle.error:
+                continue
+            try:
+                reports[vehicle.name] = report = write(vehicle.folder)
+            except (OSError, FlightLogError) as error:
+                raise FlightError(f"{vehicle.folder}: no report: {reason(error)}") from error
+            if report.slots and not self._several:
+                self._console.print(table(report))
+        if self._several:
+            codes = {vehicle.name: vehicle.code for vehicle in self._vehicles}
+            self._console.print(summary(codes, reports))
+
+    @property
+    def _several(self) -> bool:
+        return isinstance(self._mission, Fleet)
+
+    def _label(self, mission: Mission) -> str:
+        return f"{mission.vehicle.name}: " if self._several else ""
 
     # Processes.
 
     def _start_nodes(self, endpoint: str) -> None:
-        mission, logs = self._mission, self._run / "logs"
-        common = ["--mission", str(self._run / run_folder.MISSION_NAME), "--connect", endpoint, "--until-ended"]
-        bridge_options: list[str] = []
-        if mission.embedded:
-            port = _free_udp_port()
-            bridge_options += ["--autopilot", f"udpin://127.0.0.1:{port}", "--no-put-back"]
-            self._nodes["sitl"] = Node("sitl", self._sitl_command(port), logs)
+        file, logs = str(self._run / run_folder.MISSION_NAME), self._run / "logs"
+        common = ["--mission", file, "--connect", endpoint, "--until-ended"]
+        spacing_m = self._mission.vehicles_spacing_m if isinstance(self._mission, Fleet) else 0.0
+        ports: dict[str, int] = {}
+        played: dict[str, tuple[Simulator, Node]] = {}
+        for simulator in simulators(self._missions):
+            first = free_udp_ports(len(simulator.missions))
+            node = Node(simulator.name, command(simulator, first, self._mission.seed, spacing_m), logs)
+            self._shared[simulator.name] = node
+            for port, mission in enumerate(simulator.missions, start=first):
+                ports[mission.vehicle.name], played[mission.vehicle.name] = port, (simulator, node)
         for name in ("rf", "agent"):
-            self._nodes[name] = Node(name, python("mission", name, *common), logs)
-        if mission.clock == "lockstep":
-            bridge_options += ["--control", self._await_printed(self._nodes["sitl"], "control ")]
-        elif mission.embedded:
-            self._await_printed(self._nodes["sitl"], "companion ")
-        if mission.record.tlog:
-            bridge_options += ["--tlog", str(self._run / "flight.tlog")]
-        self._nodes["bridge"] = Node("bridge", python("mission", "bridge", *common, *bridge_options), logs)
+            self._shared[name] = Node(name, python("mission", name, *common), logs)
+        for vehicle in self._vehicles:
+            options = ["--vehicle", vehicle.name] if self._several else []
+            if vehicle.name in played:
+                simulator, vehicle.sitl = played[vehicle.name]
+                options += ["--autopilot", f"udpin://127.0.0.1:{ports[vehicle.name]}", "--no-put-back"]
+                address = self._await_printed(simulator, vehicle.sitl)
+                if self._mission.clock == "lockstep":
+                    options += ["--control", address]
+            if self._mission.record.tlog:
+                options += ["--tlog", str(vehicle.folder / "flight.tlog")]
+            name = f"bridge_{vehicle.name}" if self._several else "bridge"
+            vehicle.bridge = Node(name, python("mission", "bridge", *common, *options), logs)
 
-    def _sitl_command(self, companion_port: int) -> list[str]:
-        mission = self._mission
-        lockstep = mission.clock == "lockstep"
-        key, played = mission.vehicle.signing_key, mission.vehicle.sitl
-        return python(
-            "sitl",
-            *("--personality", played.personality),
-            *(("--signing-key", str(key)) if key is not None else ()),
-            *("--companion-port", str(companion_port), "--companion-bind", "0", "--gcs-bind", "0"),
-            *(("--lockstep", "--control-port", "0") if lockstep else ()),
-            *("--speed", str(FAILSAFE_SPEED if lockstep else mission.speed), "--exit-when-landed"),
-            *("--launcher", str(os.getpid())),
-            *("--seed", str(mission.seed), "--system-id", str(mission.vehicle.system_id)),
-            *(
-                part
-                for name, value in (WITH_FAILSAFES[played.personality] | played.parameters).items()
-                for part in ("--param", f"{name}={value:g}")
-            ),
-        )
-
-    def _await_printed(self, sitl: Node, start: str) -> str:
+    def _await_printed(self, simulator: Simulator, node: Node) -> str:
         """The line about a socket, which the SITL prints when it is ready: its flight model may have to compile."""
         deadline = time.monotonic() + START_S
         compiling = False
-        while (line := sitl.printed(start)) is None:
-            if not sitl.running:
-                raise FlightError(_told(sitl))
+        while (line := node.printed(simulator.ready)) is None:
+            if not node.running:
+                raise FlightError(told(node))
             if self._interrupts:
                 raise FlightError("interrupted before the start")
             if time.monotonic() > deadline:
-                raise FlightError(f"sitl: not up after {START_S:g} s ({sitl.last_words})")
-            if not compiling and (what := sitl.printed("compiling ")) is not None:
+                raise FlightError(f"{node.name}: not up after {START_S:g} s ({node.last_words})")
+            if not compiling and (what := node.printed("compiling ")) is not None:
                 compiling = True
-                self._view.note(f"sitl: compiling {what}")
+                self._view.note(f"{node.name}: compiling {what}")
             self._hear(0.02)
         return line
 
     def _gather(self) -> None:
-        """End every process; an embedded autopilot that still flies gets the time to land."""
-        loop = [node for name, node in self._nodes.items() if name != "sitl"]
-        end_all(loop, patience_s=GATHER_S if self._ended and self._started else 0.0)  # who never saw it fly, waits on
-        sitl = self._nodes.get("sitl")
-        if sitl is not None and not self.abandoned:
-            end_all([sitl], patience_s=GATHER_S if self._ended and not self._armed else 0.0)
+        """End every process; embedded autopilots that still fly get the time to land."""
+        all_ended = all(vehicle.ended for vehicle in self._vehicles)
+        sitls = {id(vehicle.sitl) for vehicle in self._vehicles}
+        loop = [vehicle.bridge for vehicle in self._vehicles if vehicle.bridge is not None]
+        loop += [node for node in self._shared.values() if id(node) not in sitls]
+        # Who never saw them fly, waits on.
+        end_all(loop, patience_s=GATHER_S if all_ended and self._any_started else 0.0)
+        if not self.abandoned:
+            down = all_ended and not any(vehicle.armed for vehicle in self._vehicles)
+            end_all(list(self._shared.values()), patience_s=GATHER_S if down else 0.0)
 
     # The flight.
 
+    @property
+    def _any_started(self) -> bool:
+        return any(vehicle.started for vehicle in self._vehicles)
+
     def _watch(self) -> int:
-        """Until the flight is over; the exit code."""
+        """Until all flights are over; the exit code."""
         deadline = time.monotonic() + START_S
-        bridge = self._nodes["bridge"]
         while True:
             self._hear(0.05)
             if self._interrupts > self._obeyed:
                 self._obeyed += 1
-                code = self._interrupted()
-                if code is not None:
-                    return code
-            if not bridge.running:
-                return self._bridge_over(bridge)
-            self._check_others()
-            if not self._started and self._alive.issuperset(LOOP_NODES) and time.monotonic() >= self._start_at:
-                self._start_flight()
-            if not self._started and time.monotonic() > deadline:
-                missing = ", ".join(name for name in LOOP_NODES if name not in self._alive)
-                raise FlightError(
-                    f"not on the bus after {START_S:g} s: {missing}"
-                    if missing
-                    else f"not started after {START_S:g} s: {self._unstarted}"
-                )
+                if self._interrupted():
+                    return ERROR
+            for vehicle in self._vehicles:
+                was_over = vehicle.over
+                vehicle.watch()
+                if vehicle.error and not was_over:
+                    self._failed(vehicle)
+            if all(vehicle.over for vehicle in self._vehicles):
+                codes = {vehicle.code for vehicle in self._vehicles}
+                return next(code for code in WORST_FIRST if code in codes)
+            self._check_shared()
+            self._start_flights()
+            if time.monotonic() > deadline:
+                self._check_started()
 
-    def _start_flight(self) -> None:
-        """Ask for the start; a bridge that says no, or nothing, is asked again later."""
-        why_not = self._command("start")
-        if why_not is None:
-            self._started = True
-            return
-        if why_not != self._unstarted:
-            self._view.note(why_not)
-        self._unstarted, self._start_at = why_not, time.monotonic() + START_RETRY_S
+    def _failed(self, vehicle: VehicleFlight) -> None:
+        """One vehicle ended in an error: the others fly on, but without it none starts."""
+        if not self._any_started:
+            raise FlightError(f"{self._label(vehicle.mission)}{vehicle.error}")
+        if self._several:
+            vehicle.view.note(f"error: {vehicle.error}")
 
-    def _interrupted(self) -> int | None:
-        if not self._started:
+    def _start_flights(self) -> None:
+        """When all are there; once one has started, each other one as soon as it is taken."""
+        waiting = [vehicle for vehicle in self._vehicles if vehicle.flying and not vehicle.started]
+        there = all(vehicle.ready if self._several else not vehicle.missing for vehicle in waiting)
+        if there or self._any_started:
+            due = [vehicle for vehicle in waiting if time.monotonic() >= vehicle.start_at]
+            for vehicle, why_not in self._command_all(due, "start").items():
+                vehicle.asked_to_start(why_not)
+
+    def _check_started(self) -> None:
+        """Too long after the launch, who has not started will not. Raises FlightError when none has."""
+        for vehicle in self._vehicles:
+            if vehicle.started or vehicle.over:
+                continue
+            missing = ", ".join(vehicle.missing)
+            vehicle.fail(
+                f"not on the bus after {START_S:g} s: {missing}"
+                if missing
+                else f"not started after {START_S:g} s: {vehicle.unstarted or 'not ready'}"
+            )
+            self._failed(vehicle)
+
+    def _interrupted(self) -> bool:
+        """Act on Ctrl-C; whether that is the end."""
+        if not self._any_started:
             self._view.note("interrupted before the start")
-            return ERROR
+            return True
         if self._obeyed > 1:
             self.abandoned = True
             self._view.note("Ctrl-C again: the nodes end, the vehicle is left to its autopilot's failsafe")
-            return ERROR
+            return True
         self._view.note("Ctrl-C: landing (once more: end now and leave the vehicle to its failsafe)")
-        why_not = self._command("land")
-        if why_not is not None:
-            self._view.note(why_not)
-        return None
+        flying = [vehicle for vehicle in self._vehicles if vehicle.flying]
+        if not flying:
+            for vehicle in self._vehicles:
+                vehicle.give_up()
+        for vehicle, why_not in self._command_all(flying, "land").items():
+            if why_not is not None:
+                vehicle.view.note(why_not)
+        return False
 
-    def _command(self, name: CommandName) -> str | None:
-        """Ask the bridge for something; why it will not do it, or None when it will."""
-        command = Command(name=name)
-        try:
-            reply = topics.send_command(self._session, self._mission.vehicle.name, command)
-        except (TimeoutError, topics.RefusedError) as error:
-            return str(error)
-        if self._recorder is not None:
-            self._recorder.command(command)
-            self._recorder.command(reply)
-        return None if reply.accepted else f"{name} was refused: {reply.reason}"
+    def _command_all(self, vehicles: Sequence[VehicleFlight], name: CommandName) -> dict[VehicleFlight, str | None]:
+        """Why each will not do it, if so. All are asked at once: one that does not answer must not keep the others."""
+        with ThreadPoolExecutor(max_workers=len(self._vehicles)) as pool:
+            return dict(zip(vehicles, pool.map(lambda vehicle: vehicle.command(name), vehicles), strict=True))
 
-    def _bridge_over(self, bridge: Node) -> int:
-        deadline = time.monotonic() + 1.0
-        while self._ended is None and time.monotonic() < deadline:
-            self._hear(0.05)  # its last words may still be on their way
-        if self._ended is None:
-            return self._bridge_lost(bridge)
-        code = self._ended.exit_code
-        if code == ERROR and self._armed and self._await_landing():
-            code = FAILSAFE
-        if code is None:
-            code = bridge.exit_code or ERROR
-        if code == ERROR:
-            raise FlightError(self._why or self._ended.text)
-        if code == FAILSAFE:
-            self._view.note(f"ended safely, not as planned: {self._why}")
-        return code
-
-    def _bridge_lost(self, bridge: Node) -> int:
-        how = describe_exit(bridge.exit_code or 0)
-        if not self._armed:
-            raise FlightError(_told(bridge))
-        self._view.note(f"bridge: {how}; the autopilot's failsafe brings the vehicle down")
-        if self._mission.embedded and not self._await_landing():
-            raise FlightError(f"bridge: {how}; the vehicle was not down after {COME_DOWN_S:g} s")
-        return FAILSAFE
-
-    def _await_landing(self) -> bool:
-        """Whether the embedded autopilot landed and ended by itself."""
-        sitl = self._nodes.get("sitl")
-        if sitl is None:
-            return False
-        deadline = time.monotonic() + COME_DOWN_S
-        while sitl.running:
-            self._hear(0.05)
-            if time.monotonic() > deadline or self._interrupts > self._obeyed:
-                return False
-        self._armed = False
-        return sitl.exit_code == 0
-
-    def _check_others(self) -> None:
-        """Radio, agent and autopilot: one that is gone is started again once, if the mission says so."""
-        for name, node in self._nodes.items():
-            if name == "bridge" or name in self._gone or node.running or self._ended is not None:
+    def _check_shared(self) -> None:
+        """Radio, agent and autopilots: one that is gone is started again once, if the mission says so."""
+        if self._any_started and not any(vehicle.served for vehicle in self._vehicles):
+            return  # they end with the last flight
+        for name, node in self._shared.items():
+            if name in self._gone or node.running:
                 continue
-            if not self._started:
-                raise FlightError(_told(node))
+            if not self._any_started:
+                raise FlightError(told(node))
             how = describe_exit(node.exit_code or 0)
-            again = name != "sitl" and self._mission.restart == "once" and node.starts == 1
+            again = name in ("rf", "agent") and self._mission.restart == "once" and node.starts == 1
             self._view.note(f"{name}: {how}{', starting it again' if again else ''}")
             if again:
                 node.restart()
@@ -331,49 +301,8 @@ class _Flight:
         deadline = time.monotonic() + timeout_s
         while (left := deadline - time.monotonic()) > 0:
             try:
-                item = self._inbox.get(timeout=left)
+                vehicle, item = self._inbox.get(timeout=left)
             except queue.Empty:
                 break
-            self._take(item)
-        if self._recorder is not None and self._recorder.error is not None and not self._recording_stopped:
-            self._recording_stopped = True
-            self._view.note(f"recording stopped: {_reason(self._recorder.error)}")
+            vehicle.take(item)
         self._view.show()
-
-    def _take(self, item: _Item) -> None:
-        match item:
-            case VehicleState():
-                self._armed = item.armed
-                self._started |= item.phase not in BEFORE_START  # also when the answer to `start` was lost
-                self._view.state(item)
-            case SlotOpened():
-                self._view.slot(item)
-            case LinkReport():
-                self._view.link(item)
-            case MissionEvent():
-                self._view.event(item)
-                if item.kind in ("error", "failsafe"):
-                    self._why = item.text
-                if item.kind == "ended":
-                    self._ended = item
-            case (node, True):
-                self._alive.add(node)
-            case (node, False):
-                self._alive.discard(node)
-
-
-def _told(node: Node) -> str:
-    """Why a node did not come up, in its own last words."""
-    words = node.last_words.removeprefix("error: ").removeprefix(f"{node.name}: ")
-    return f"{node.name}: {words} ({describe_exit(node.exit_code or 0)})"
-
-
-def _reason(error: Exception) -> str:
-    """Without the error's number."""
-    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
-
-
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -22,6 +22,8 @@ from rf_model.scenario import Scenario, ScenarioError, make_scenario
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 EMBEDDED = "sitl"
+SEVERAL = "vehicles"
+"""What a mission of several vehicles has in place of `vehicle`."""
 BRIDGE_FIELDS = {
     "autopilot": "vehicle.autopilot",
     "backend": "vehicle.backend",
@@ -51,13 +53,20 @@ class MissionError(ValueError):
     """A mission that cannot be flown as written; one line naming file, field, value and what is allowed."""
 
 
-class _Strict(BaseModel):
+def good_name(name: str) -> str:
+    """A name that may be part of a path and of a key expression. Raises ValueError."""
+    if not NAME.fullmatch(name):
+        raise ValueError(f"{name!r} must be 1 to 32 letters, digits, '_' or '-'")
+    return name
+
+
+class Strict(BaseModel):
     """No value is converted, except whole numbers to floats: `slots: "10"` is a mistake."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class Sitl(_Strict):
+class Sitl(Strict):
     """The embedded autopilot's own options."""
 
     personality: Literal["px4", "arducopter"] = "px4"
@@ -66,7 +75,7 @@ class Sitl(_Strict):
     """Parameters it starts with, e.g. PX4's `SIH_KDV: 1.5` for more drag."""
 
 
-class VehicleSection(_Strict):
+class VehicleSection(Strict):
     """Which vehicle flies and how it is reached."""
 
     name: str = "star1"
@@ -91,9 +100,7 @@ class VehicleSection(_Strict):
     @field_validator("name")
     @classmethod
     def _name(cls, name: str) -> str:
-        if not NAME.fullmatch(name):
-            raise ValueError(f"{name!r} must be 1 to 32 letters, digits, '_' or '-'")
-        return name
+        return good_name(name)
 
     @field_validator("autopilot")
     @classmethod
@@ -132,7 +139,7 @@ class LimitsSection(Limits):
     """Distance in plan that other vehicles are never to come nearer than."""
 
 
-class FenceSection(_Strict):
+class FenceSection(Strict):
     """The fence, in place of one about the scenario's box: a box, a polygon with its altitudes, or a cylinder."""
 
     box: Box | None = None
@@ -162,7 +169,7 @@ class FenceSection(_Strict):
         return shape
 
 
-class EnergySection(_Strict):
+class EnergySection(Strict):
     """The pack, and the way home that must always be left in it; the power model is the scenario's."""
 
     pack_wh: Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -173,15 +180,15 @@ class EnergySection(_Strict):
     """How the autopilot returns: at this speed, at this height above home or higher."""
 
 
-class Record(_Strict):
+class Record(Strict):
     """What is recorded into the run folder."""
 
     tlog: bool = True
     mcap: bool = True
 
 
-class Mission(_Strict):
-    """One flight, every field with its value."""
+class Shared(Strict):
+    """What a mission says whether one vehicle flies it or several."""
 
     name: str = "mission"
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
@@ -189,7 +196,6 @@ class Mission(_Strict):
     """A preset's name, a mapping of fields with `preset:`, or all fields."""
     slots: Annotated[int, Field(ge=1, le=1_000_000)]
     """Slots to fly; the scenario's when not given."""
-    vehicle: VehicleSection = VehicleSection()
     clock: Literal["lockstep", "paced"] = "lockstep"
     speed: Annotated[float, Field(gt=0, le=100, allow_inf_nan=False)] = 1.0
     """Vehicle seconds per wall second; only with `clock: paced`."""
@@ -230,9 +236,18 @@ class Mission(_Strict):
     @field_validator("name")
     @classmethod
     def _name(cls, name: str) -> str:
-        if not NAME.fullmatch(name):
-            raise ValueError(f"{name!r} must be 1 to 32 letters, digits, '_' or '-'")
-        return name
+        return good_name(name)
+
+    @model_validator(mode="after")
+    def _ris_fits(self) -> Self:
+        self.ris.require_fit(self.scenario)
+        return self
+
+
+class Mission(Shared):
+    """One vehicle's flight, every field with its value."""
+
+    vehicle: VehicleSection = VehicleSection()
 
     @model_validator(mode="after")
     def _clock_fits(self) -> Self:
@@ -250,31 +265,47 @@ class Mission(_Strict):
             )
         return self
 
-    @model_validator(mode="after")
-    def _ris_fits(self) -> Self:
-        self.ris.require_fit(self.scenario)
-        return self
-
     @property
     def embedded(self) -> bool:
         """Whether the embedded autopilot flies."""
         return self.vehicle.autopilot == EMBEDDED
 
 
+AnyMission = TypeVar("AnyMission", bound=Shared)
+
+
 def load(path: Path, vehicle_name: str | None = None, **overrides: object) -> Mission:
-    """Read a mission file; `overrides` replace top-level fields (None leaves a field alone). Raises MissionError."""
+    """Read one vehicle's mission; `overrides` replace top-level fields (None leaves a field alone).
+
+    Raises MissionError.
+    """
+    fields = read_fields(path, Mission, overrides)
+    if SEVERAL in fields:
+        raise MissionError(
+            f"{path}: {SEVERAL}: several fly; allowed here is a mission of one, as in the vehicle's folder"
+        )
+    if vehicle_name is not None and isinstance(fields.setdefault("vehicle", {}), dict):
+        fields["vehicle"]["name"] = vehicle_name
+    return validated(path, Mission, fields)
+
+
+def read_fields(path: Path, model: type[Shared], overrides: Mapping[str, object]) -> dict[str, Any]:
+    """What a mission file says, with `overrides` in place, before it is looked at. Raises MissionError."""
     try:
-        fields = read_mapping(path, Mission.model_fields)
+        fields = read_mapping(path, model.model_fields)
     except YamlError as error:
         raise MissionError(str(error)) from error
     fields |= {name: value for name, value in overrides.items() if value is not None}
     fields.setdefault("name", path.stem)
-    if vehicle_name is not None and isinstance(fields.setdefault("vehicle", {}), dict):
-        fields["vehicle"]["name"] = vehicle_name
+    return fields
+
+
+def validated(path: Path, model: type[AnyMission], fields: dict[str, Any]) -> AnyMission:
+    """The mission that `fields`, read from `path`, describe. Raises MissionError."""
     try:
-        return Mission.model_validate(fields)
+        return model.model_validate(fields)
     except ValidationError as error:
-        raise MissionError(f"{path}: {one_line(error, Mission)}") from error
+        raise MissionError(f"{path}: {one_line(error, model)}") from error
 
 
 def check(mission: Mission) -> None:
@@ -296,8 +327,8 @@ def check(mission: Mission) -> None:
             raise MissionError(f"vehicle.signing_key: {error}") from error
 
 
-def dump(mission: Mission) -> str:
-    """The resolved mission as YAML that `load` reads back to the same mission."""
+def dump(mission: Shared) -> str:
+    """The resolved mission as YAML that reads back to the same mission."""
     return yaml.safe_dump(mission.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
 
 

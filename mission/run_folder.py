@@ -9,15 +9,18 @@ from datetime import UTC, datetime
 from importlib.metadata import distribution, version
 from pathlib import Path
 
-from mission.mission_file import Mission, MissionError, dump
+from mission.fleet import Fleet
+from mission.mission_file import Mission, MissionError, Shared, dump
 
 MISSION_NAME = "mission.yaml"
 VERSIONS_NAME = "versions.json"
 SOURCE = Path(__file__).resolve().parents[1]
 
 
-def make(mission: Mission) -> Path:
+def make(mission: Mission | Fleet) -> Path:
     """Make `<output>/<UTC time>_<name>/` with the resolved mission, the versions and `logs/`.
+
+    Of several vehicles each has a folder in it, by its name, with the mission resolved for it alone.
 
     Raises MissionError when the output folder cannot be written.
     """
@@ -28,12 +31,22 @@ def make(mission: Mission) -> Path:
         run = _new_folder(mission.output, base)
         (run / "logs").mkdir()
         (run / MISSION_NAME).write_text(dump(mission), encoding="utf-8")
+        if isinstance(mission, Fleet):
+            for one in mission.missions:
+                folder = vehicle_folder(run, mission, one)
+                folder.mkdir()
+                (folder / MISSION_NAME).write_text(dump(one), encoding="utf-8")
         (run / VERSIONS_NAME).write_text(json.dumps(_versions(mission, started), indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise MissionError(
             f"output: {str(mission.output)!r} cannot be written ({error.strerror}); name a writable folder"
         ) from error
     return run
+
+
+def vehicle_folder(run: Path, mission: Mission | Fleet, vehicle: Mission) -> Path:
+    """Where a vehicle's recordings and report lie: the run folder, or one in it when there are several."""
+    return run / vehicle.vehicle.name if isinstance(mission, Fleet) else run
 
 
 def _new_folder(output: Path, base: str) -> Path:
@@ -48,7 +61,7 @@ def _new_folder(output: Path, base: str) -> Path:
             return run
 
 
-def _versions(mission: Mission, started: datetime) -> dict[str, object]:
+def _versions(mission: Shared, started: datetime) -> dict[str, object]:
     requirements = distribution("aerial-star").requires or []
     names = sorted({_name(line) for line in requirements if "extra ==" not in line})
     return {

@@ -21,6 +21,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -53,6 +54,14 @@ _Item = SlotOpened | Action | VehicleState | Literal["ended"]
 _Inbox = queue.SimpleQueue[tuple["_Vehicle", _Item]]
 
 
+@dataclass(frozen=True)
+class World:
+    """What one vehicle's radio world is made of."""
+
+    scenario: Scenario
+    seed: int
+
+
 def vehicle_seeds(seed: int, vehicles: Sequence[str]) -> dict[str, int]:
     """A seed for each vehicle: the first has `seed` itself, every other one that follows from `seed` and its name."""
     seeds = {name: seed_of(seed, *name.encode()) >> 1 for name in vehicles}
@@ -60,15 +69,14 @@ def vehicle_seeds(seed: int, vehicles: Sequence[str]) -> dict[str, int]:
 
 
 def run(
-    scenario: Scenario,
-    seeds: Mapping[str, int],
+    worlds: Mapping[str, World],
     session: zenoh.Session,
     *,
     action_deadline_s: float,
     until_ended: bool,
     ris: RisControl = AGENT,
 ) -> int:
-    """Serve vehicles by name, each with a seed and a world of its own; returns the exit code.
+    """Serve vehicles by name, each with a world of its own; returns the exit code.
 
     Ends when all their flights have ended (`until_ended`; `bus.topics.watch_end` says when), or never. One that fails,
     which would be an error of ours, leaves the bus; the others go on. The code is 0, or 1 if one failed; then it also
@@ -76,15 +84,16 @@ def run(
     Raises ValueError for a bad vehicle name, RisControlError for a mode that the scenario does not allow.
     """
     torch.set_num_threads(1)  # tensors of one slot are small; the other cores are for the other nodes
-    rehearse(scenario, ris)
+    rehearse(next(iter(worlds.values())).scenario, ris)
     gc.collect()
     gc.freeze()  # or going through all that is loaded takes 0.1 s in the middle of some slot
     inbox: _Inbox = queue.SimpleQueue()
     serving: list[_Vehicle] = []
     failed = False
     try:
-        for name, seed in seeds.items():
-            serving.append(_Vehicle(name, SlotRadio(scenario, seed, ris), session, inbox, action_deadline_s))
+        for name, world in worlds.items():
+            radio = SlotRadio(world.scenario, world.seed, ris)
+            serving.append(_Vehicle(name, radio, session, inbox, action_deadline_s))
         while serving:
             addressee, item = _next(inbox, min(vehicle.wakes_s for vehicle in serving))
             for vehicle in list(serving):

@@ -86,7 +86,8 @@ def flying(
     with open_session(listen=endpoint) as ours, open_session(connect=[endpoint]) as its:
         world = World(ours)
         thread = threading.Thread(
-            target=lambda: codes.put(node.run(policy, scenario, seed, VEHICLE, its, until_ended=True)), daemon=True
+            target=lambda: codes.put(node.run({VEHICLE: node.Task(policy, scenario, seed)}, its, until_ended=True)),
+            daemon=True,
         )
         thread.start()
         world.wait_alive("agent")

@@ -24,7 +24,7 @@ from bus.messages import (
     VehicleState,
 )
 from bus.session import free_endpoint, open_session
-from rf_model.node import run, vehicle_seeds
+from rf_model.node import World, run, vehicle_seeds
 from rf_model.ris_control import RisControl, RisControlError
 from rf_model.scenario import preset
 from rf_model.slot_radio import SlotRadio
@@ -103,11 +103,11 @@ def bench(benches):
 def rf_node(*benches, ris="agent"):
     """A node in a thread of its own, ended at the latest on leaving; the first vehicle's seed is 1, and so on."""
     codes = []
-    seeds = {bench.vehicle: seed for seed, bench in enumerate(benches, start=1)}
+    worlds = {bench.vehicle: World(SCENARIO, seed) for seed, bench in enumerate(benches, start=1)}
     control = RisControl(mode=ris, iterations=5)
     thread = threading.Thread(
         target=lambda: codes.append(
-            run(SCENARIO, seeds, benches[0].theirs, action_deadline_s=0.25, until_ended=True, ris=control)
+            run(worlds, benches[0].theirs, action_deadline_s=0.25, until_ended=True, ris=control)
         )
     )
     thread.start()
@@ -315,7 +315,7 @@ def test_ends_when_the_bridge_is_gone(bench):
 
 def test_bad_vehicle_name_is_refused(bench):
     with pytest.raises(ValueError, match="vehicle: 'a/b'"):
-        run(SCENARIO, {"a/b": 1}, bench.theirs, action_deadline_s=0.25, until_ended=True)
+        run({"a/b": World(SCENARIO, 1)}, bench.theirs, action_deadline_s=0.25, until_ended=True)
 
 
 BY_ITSELF = ("closed_form", "optimised")
@@ -476,8 +476,7 @@ def test_mode_that_the_scenario_does_not_allow_is_refused(bench):
     by_amplitude = preset("physical_small", sinr="amplitude")
     with pytest.raises(RisControlError, match=r"ris\.mode: 'closed_form'"):
         run(
-            by_amplitude,
-            {bench.vehicle: 1},
+            {bench.vehicle: World(by_amplitude, 1)},
             bench.theirs,
             action_deadline_s=0.25,
             until_ended=True,
