@@ -27,6 +27,7 @@ from mavsdk.exceptions import MavsdkError
 from mavsdk.logging import log_subscribe
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
+from mavsdk.plugins.mission_raw import MissionRaw
 from mavsdk.plugins.offboard import Offboard, VelocityNedYaw
 from mavsdk.plugins.param import Param, ParamError, ParamResult
 from pymavlink.dialects.v20 import common as mavlink
@@ -37,6 +38,7 @@ from autopilot_bridge.clock import Clock
 from autopilot_bridge.dialects import Dialect
 from autopilot_bridge.link import OWN_SYSTEM, Link
 from autopilot_bridge.mavlink_vehicle import RETRY_S, SHOWN_S, MavlinkVehicle
+from autopilot_bridge.uploaded_fence import FenceItem
 from autopilot_bridge.vehicle import Mode, RefusedError, VehicleError
 
 DISCOVERY_WALL_S = 5.0
@@ -78,6 +80,7 @@ class MavsdkVehicle(MavlinkVehicle):
         self._offboard: Offboard
         self._param: Param
         self._direct: MavlinkDirect
+        self._plans: MissionRaw
 
     def poll(self, timeout_s: float) -> None:
         self._flush()
@@ -134,6 +137,13 @@ class MavsdkVehicle(MavlinkVehicle):
         except ParamError as error:
             raise VehicleError(f"parameter {name}: the autopilot did not take {value:g}") from error
 
+    def uploaded_fence(self) -> list[FenceItem]:
+        try:
+            items = self._ask(self._plans.download_geofence)
+        except MavsdkError as error:
+            raise VehicleError(f"the fence uploaded to the autopilot cannot be read: {_result(error)}") from error
+        return [FenceItem(item.command, item.param1, item.x / 1e7, item.y / 1e7) for item in items]
+
     def close(self) -> None:
         self._calls.shutdown(wait=True, cancel_futures=True)  # none may be inside MAVSDK when it goes
         self._client.destroy()
@@ -144,7 +154,7 @@ class MavsdkVehicle(MavlinkVehicle):
         if system is None:
             raise VehicleError(f"autopilot at {self._link.url}: heard by us, not found by MAVSDK")
         self._action, self._offboard = Action(system), Offboard(system)
-        self._param, self._direct = Param(system), MavlinkDirect(system)
+        self._param, self._direct, self._plans = Param(system), MavlinkDirect(system), MissionRaw(system)
         for message_id, rate_hz in self.dialect.rates_hz.items():
             with contextlib.suppress(MavsdkError):  # what it does not have it need not send
                 self._ask(partial(self._command, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz))
@@ -182,7 +192,7 @@ class MavsdkVehicle(MavlinkVehicle):
             self._until(done, RETRY_S)  # done without an ACK; or the reason's STATUSTEXT may follow
             if done():
                 return
-            result = error.args[0].name if error.args else str(error)
+            result = _result(error)
             if result in UNANSWERED:
                 raise VehicleError(f"{what}: nothing came of it ({result}){self._since(heard)}") from error
             raise RefusedError(f"{what}: {result} by the autopilot{self._since(heard)}") from error
@@ -231,6 +241,10 @@ def _silence() -> None:
     Once a process: to subscribe anew would free the callback that a thread of MAVSDK may be in.
     """
     log_subscribe(lambda *_: True)
+
+
+def _result(error: MavsdkError) -> str:
+    return str(error.args[0].name) if error.args else str(error)
 
 
 def _message_id(frame: bytes) -> int:

@@ -12,12 +12,15 @@ import numpy as np
 from autopilot_bridge.config import REQUIRED, BridgeConfig, Limits
 from autopilot_bridge.dialects import Dialect, Need, OwnFence
 from autopilot_bridge.flight_parameters import FlightParameters, Tell
+from autopilot_bridge.uploaded_fence import areas, objection
 from autopilot_bridge.vehicle import Vehicle, VehicleError
 
 TRACKING_HEADROOM = 1.25
 """A vehicle that is behind its plan may be this much faster than plans are, if the autopilot lets it."""
 STREAM_LOSS_MAX_S = 10.0
 """For so long a lost stream may at most fly on; PX4 and ArduCopter take 1 and 3 s by default."""
+STREAM_LOSS_MIN_S = 0.25
+"""A stream of 20 Hz that has lost four setpoints in a row must not be taken for a lost one."""
 KEEP_OFF_M = 2.0
 """Distance from the autopilot's own fence, which is to act only when we have failed."""
 GRAVITY = 9.80665
@@ -79,9 +82,14 @@ def _own_loss(config: BridgeConfig, vehicle: Vehicle, parameters: FlightParamete
         parameters.set(name, safe[0], why=", with which a vehicle without its bridge neither lands nor returns")
     name, unit = vehicle.dialect.stream_loss
     delay_s = vehicle.parameter(name) * unit
-    if delay_s > STREAM_LOSS_MAX_S:
+    if not delay_s <= STREAM_LOSS_MAX_S:
         raise VehicleError(
             f"offboard_loss is late: {name} is {delay_s:g} s, must be {STREAM_LOSS_MAX_S:g} s at most"
+            f"{_way_out('offboard_loss')}"
+        )
+    if delay_s < STREAM_LOSS_MIN_S:
+        raise VehicleError(
+            f"offboard_loss is hasty: {name} is {delay_s:g} s, must be {STREAM_LOSS_MIN_S:g} s at least"
             f"{_way_out('offboard_loss')}"
         )
 
@@ -92,53 +100,86 @@ def _required(config: BridgeConfig, vehicle: Vehicle) -> None:
         if failsafe in config.allow_without:
             continue
         for need in vehicle.dialect.owners_failsafes.get(failsafe, ()):
-            found = vehicle.parameter(need.parameter)
-            if not need.met(found):
-                raise VehicleError(
-                    f"{failsafe} is off: {need.parameter} is {found:g}, must be {need.allowed}{_way_out(failsafe)}"
-                )
+            wrong = need.unmet(vehicle.parameter)
+            if wrong:
+                raise VehicleError(f"{failsafe} is off: {wrong}{_way_out(failsafe)}")
 
 
 def _way_out(failsafe: str) -> str:
     return f"; set it, or say in the mission that it flies without (allow_without: [{failsafe}])"
 
 
+def clear_of_uploaded_fence(config: BridgeConfig, vehicle: Vehicle, tell: Tell) -> None:
+    """Once home is known: the box, and the way to it, inside the areas uploaded to the autopilot, if they are in force.
+
+    Raises VehicleError.
+    """
+    fence, home = vehicle.dialect.own_fence(vehicle.parameter), vehicle.telemetry.home_lat_lon_alt
+    if not fence.areas or home is None:
+        return
+    try:
+        found = areas(vehicle.uploaded_fence(), home)
+    except ValueError as error:
+        raise VehicleError(f"the fence uploaded to the autopilot is not understood: {error}") from error
+    start = config.start_position_enu[:2]
+    wrong = objection(found, fence.any_inclusion, config.box, start, max(KEEP_OFF_M, fence.margin_m))
+    if wrong:
+        raise VehicleError(f"the fence uploaded to the autopilot: {wrong}")
+    if found:
+        tell("preflight", f"inside the fence uploaded to the autopilot: {', '.join(map(str, found))}")
+
+
 def _bounds(config: BridgeConfig, vehicle: Vehicle) -> Bounds:
     dialect = vehicle.dialect
-    theirs = {name: vehicle.parameter(limit) * unit for name, (limit, unit) in dialect.limits.items()}
+    theirs = {name: _limit(vehicle, limit) * unit for name, (limit, unit) in dialect.limits.items()}
     theirs["acceleration_mps2"] = min(theirs.get("acceleration_mps2", math.inf), _tilted(dialect, vehicle))
     limits = config.limits.within(**theirs)
-    headroom_mps = min(limits.horizontal_mps * TRACKING_HEADROOM, theirs["horizontal_mps"])
+    speeds = ("horizontal_mps", "up_mps", "down_mps")
+    headroom = {name: min(getattr(limits, name) * TRACKING_HEADROOM, theirs[name]) for name in speeds}
     fence = dialect.own_fence(vehicle.parameter)
-    _require_room(config, dialect, fence)
-    home_m = min(config.home_distance_m or math.inf, fence.radius_m - KEEP_OFF_M)
+    keep_off_m = max(KEEP_OFF_M, fence.margin_m)
+    _require_room(config, dialect, fence, keep_off_m)
+    home_m = min(config.home_distance_m or math.inf, fence.radius_m - keep_off_m)
     return Bounds(
         limits=limits,
-        tracking=limits.model_copy(update={"horizontal_mps": headroom_mps}),
+        tracking=limits.model_copy(update=headroom),
         home_distance_m=None if math.isinf(home_m) else home_m,
-        ceiling_m=fence.height_m - KEEP_OFF_M,
+        ceiling_m=fence.height_m - keep_off_m,
         battery_reserve=0.0 if config.endurance is None else dialect.battery_acts_at(vehicle.parameter),
     )
 
 
+def _limit(vehicle: Vehicle, name: str) -> float:
+    """A parameter that limits. Raises VehicleError for one with which nothing flies."""
+    value = vehicle.parameter(name)
+    if not 0 < value < math.inf:
+        raise VehicleError(f"{name} is {value:g}: must be more than 0 to fly within it")
+    return value
+
+
 def _tilted(dialect: Dialect, vehicle: Vehicle) -> float:
     """The horizontal acceleration [m/s2] of a hover tilted as far as the autopilot lets it."""
-    name, unit = dialect.tilt_max
-    return GRAVITY * math.tan(math.radians(min(vehicle.parameter(name) * unit, 89.0)))
+    tilt_deg = dialect.tilt_max_deg(vehicle.parameter)
+    if not 0 < tilt_deg < math.inf:
+        raise VehicleError(f"the autopilot's tilt limit is {tilt_deg:g} deg: must be more than 0 to fly within it")
+    return GRAVITY * math.tan(math.radians(min(tilt_deg, 89.0)))
 
 
-def _require_room(config: BridgeConfig, dialect: Dialect, fence: OwnFence) -> None:
+def _require_room(config: BridgeConfig, dialect: Dialect, fence: OwnFence, keep_off_m: float) -> None:
     """Raises VehicleError when plans could meet the autopilot's own fence."""
-    reach_m, top_m = float(np.hypot(*config.box.corners.T).max()), config.box.z[1]
-    for what, far_m, limit_m, name in zip(
-        ("its corners are {:.1f} m from home", "its top is {:g} m above home"),
-        (reach_m, top_m),
-        (fence.radius_m, fence.height_m),
+    reach_m, (bottom_m, top_m) = float(np.hypot(*config.box.corners.T).max()), config.box.z
+    for what, over_m, limit_m, name in zip(
+        (
+            f"its corners are {reach_m:.1f} m from home",
+            f"its top is {top_m:g} m above home",
+            f"its bottom is {bottom_m:g} m above home",
+        ),
+        (reach_m - fence.radius_m, top_m - fence.height_m, fence.floor_m - bottom_m),
+        (fence.radius_m, fence.height_m, fence.floor_m),
         dialect.fence_parameters,
         strict=True,
     ):
-        if far_m > limit_m - KEEP_OFF_M:
+        if over_m > -keep_off_m:
             raise VehicleError(
-                f"box: {what.format(far_m)}; the autopilot's own fence, {name} {limit_m:g} m, "
-                f"must be {KEEP_OFF_M:g} m further"
+                f"box: {what}; the autopilot's own fence, {name} {limit_m:g} m, must be {keep_off_m:g} m further"
             )

@@ -6,6 +6,7 @@ A command is repeated until telemetry shows its effect, and given up when the au
 import math
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -14,8 +15,9 @@ from airframe.frames import enu_to_ned, yaw_enu_to_ned
 from airframe.slot_profile import Vector
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.dialects import Dialect
-from autopilot_bridge.link import Link
+from autopilot_bridge.link import OWN_SYSTEM, Link
 from autopilot_bridge.mavlink_vehicle import INTEGERS, RETRY_S, SHOWN_S, TRIES, MavlinkVehicle
+from autopilot_bridge.uploaded_fence import FenceItem
 from autopilot_bridge.vehicle import Mode, RefusedError, VehicleError
 
 ACK_STEPS = 5
@@ -27,7 +29,13 @@ VELOCITY_AND_YAW = 2503
 class PymavlinkVehicle(MavlinkVehicle):
     """See `MavlinkVehicle`."""
 
-    read = MavlinkVehicle.read | {mavlink.MAVLINK_MSG_ID_COMMAND_ACK, mavlink.MAVLINK_MSG_ID_PARAM_VALUE}
+    read = MavlinkVehicle.read | {
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
+        mavlink.MAVLINK_MSG_ID_MISSION_COUNT,
+        mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+        mavlink.MAVLINK_MSG_ID_MISSION_ACK,
+    }
 
     def __init__(
         self, link: Link, dialects: dict[int, Dialect], system_id: int, clock: Clock, wait: Callable[[], None]
@@ -35,6 +43,10 @@ class PymavlinkVehicle(MavlinkVehicle):
         super().__init__(link, dialects, system_id, clock, wait)
         self._acks: dict[int, int] = {}
         self._parameters: dict[str, tuple[float, int]] = {}
+        self._fence_items: dict[int, FenceItem] = {}
+        self._fence_count: int | None = None
+        self._fence_refusal: int | None = None
+        """MAV_MISSION_RESULT."""
 
     def beat(self) -> None:
         self._link.send(
@@ -100,6 +112,32 @@ class PymavlinkVehicle(MavlinkVehicle):
                 return
         raise VehicleError(f"parameter {name}: the autopilot did not take {value:g}")
 
+    def uploaded_fence(self) -> list[FenceItem]:
+        where, fence = (self._system_id, mavlink.MAV_COMP_ID_AUTOPILOT1), mavlink.MAV_MISSION_TYPE_FENCE
+        self._fence_items, self._fence_count, self._fence_refusal = {}, None, None
+        self._download(
+            mavlink.MAVLink_mission_request_list_message(*where, fence), lambda: self._fence_count is not None
+        )
+        while len(self._fence_items) < (self._fence_count or 0):
+            wanted = len(self._fence_items)
+            self._download(
+                mavlink.MAVLink_mission_request_int_message(*where, wanted, fence),
+                partial(self._fence_items.__contains__, wanted),
+            )
+        self._link.send(mavlink.MAVLink_mission_ack_message(*where, mavlink.MAV_MISSION_ACCEPTED, fence))
+        return [self._fence_items[number] for number in sorted(self._fence_items)]
+
+    def _download(self, request: Any, done: Callable[[], bool]) -> None:  # noqa: ANN401  pymavlink has no types
+        """Repeat a request of the mission protocol until it is answered. Raises VehicleError."""
+        for _ in range(TRIES):
+            self._link.send(request)
+            if self._until(lambda: done() or self._fence_refusal is not None, RETRY_S):
+                break
+        if not done():
+            refusal = mavlink.enums["MAV_MISSION_RESULT"].get(self._fence_refusal)
+            why = refusal.name if refusal else "no answer"
+            raise VehicleError(f"the fence uploaded to the autopilot cannot be read: {why}")
+
     def _meet(self) -> None:
         """Each rate is asked for until it is acknowledged, with less patience the longer nothing is."""
         unanswered = 0
@@ -143,6 +181,13 @@ class PymavlinkVehicle(MavlinkVehicle):
             case "PARAM_VALUE":
                 value = self._decode(message.param_value, message.param_type)
                 self._parameters[message.param_id] = (value, message.param_type)
+            case "MISSION_COUNT" if _of_our_fence(message):
+                self._fence_count = message.count
+            case "MISSION_ITEM_INT" if _of_our_fence(message):
+                place = message.x / 1e7, message.y / 1e7
+                self._fence_items[message.seq] = FenceItem(message.command, message.param1, *place)
+            case "MISSION_ACK" if _of_our_fence(message):
+                self._fence_refusal = message.type
             case _:
                 super()._take(message)
 
@@ -207,3 +252,8 @@ class PymavlinkVehicle(MavlinkVehicle):
                     name = mavlink.enums["MAV_RESULT"][result].name.removeprefix("MAV_RESULT_")
                     raise RefusedError(f"{what}: {name} by the autopilot{self._since(heard)}")
         raise VehicleError(f"{what}: nothing came of it{self._since(heard)}")
+
+
+def _of_our_fence(message: Any) -> bool:  # noqa: ANN401
+    """Whether a message of the mission protocol belongs to our download of the fence, not to somebody else's."""
+    return bool(message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE and message.target_system in (0, OWN_SYSTEM))

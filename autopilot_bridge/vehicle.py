@@ -17,6 +17,7 @@ from airframe.slot_profile import Vector
 
 if TYPE_CHECKING:
     from autopilot_bridge.dialects import Dialect
+    from autopilot_bridge.uploaded_fence import FenceItem
 
 
 class Mode(StrEnum):
@@ -176,6 +177,10 @@ class Vehicle(ABC):
     @abstractmethod
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter, confirmed by its echo. Raises VehicleError."""
+
+    @abstractmethod
+    def uploaded_fence(self) -> list["FenceItem"]:
+        """The fence that was uploaded to it (MAV_MISSION_TYPE_FENCE), item by item. Raises VehicleError."""
 
     @abstractmethod
     def close(self) -> None:

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from autopilot_bridge.vehicle import Mode
 
+Read = Callable[[str], float]
+"""Reads a parameter of the autopilot."""
+
 
 @dataclass(frozen=True)
 class Need:
@@ -14,8 +17,19 @@ class Need:
     parameter: str
     among: tuple[float, ...] = ()
     above: float = math.inf
+    instead: str | None = None
+    """Another parameter of which the same is enough."""
 
-    def met(self, value: float) -> bool:
+    def unmet(self, read: Read) -> str:
+        """What is wrong; empty when nothing is."""
+        names = [self.parameter] if self.instead is None else [self.parameter, self.instead]
+        found = {name: read(name) for name in names}
+        if any(self._met(value) for value in found.values()):
+            return ""
+        told = " and ".join(f"{name} is {value:g}" for name, value in found.items())
+        return f"{told}, must be {self.allowed}" if self.instead is None else f"{told}, one must be {self.allowed}"
+
+    def _met(self, value: float) -> bool:
         return value in self.among or value > self.above
 
     @property
@@ -33,6 +47,13 @@ class OwnFence:
 
     radius_m: float = math.inf
     height_m: float = math.inf
+    floor_m: float = -math.inf
+    margin_m: float = 0.0
+    """So near to it the autopilot already holds back."""
+    areas: bool = False
+    """Whether areas uploaded to it are in force."""
+    any_inclusion: bool = True
+    """Whether one of several inclusion areas is enough, or each must hold the vehicle."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +82,7 @@ class Dialect:
     takeoff_done: float
     """The fraction of that height at which a takeoff counts as done, if the mode is `ready`."""
     limits: Mapping[str, tuple[str, float]]
-    """What `Limits.within` takes -> the parameter that holds it, and its unit in SI. `horizontal_mps` must be there."""
+    """What `Limits.within` takes -> the parameter that holds it, and its unit in SI. The three speeds must be there."""
     failsafes: Mapping[str, tuple[float, ...]]
     """What must hold for a vehicle whose bridge is gone to land or return: parameter -> the values that are safe, of
     which the first is set when another is found."""
@@ -69,13 +90,13 @@ class Dialect:
     """The parameter after which a stream counts as lost, and its unit [s]."""
     owners_failsafes: Mapping[str, tuple[Need, ...]]
     """Failsafes that whoever runs the vehicle chooses: the mission's word -> all that must be so."""
-    tilt_max: tuple[str, float]
-    """The parameter of the steepest tilt, and its unit [deg]."""
-    own_fence: Callable[[Callable[[str], float]], OwnFence]
-    """Reads the autopilot's fence, given what reads a parameter."""
-    battery_acts_at: Callable[[Callable[[str], float]], float]
+    tilt_max_deg: Callable[[Read], float]
+    """Reads the steepest tilt."""
+    own_fence: Callable[[Read], OwnFence]
+    """Reads the autopilot's fence."""
+    battery_acts_at: Callable[[Read], float]
     """Reads the share of the pack at which the autopilot brings the vehicle down by itself; 0: never."""
-    fence_parameters: tuple[str, str]
-    """Of its radius and its height."""
+    fence_parameters: tuple[str, str, str]
+    """Of its radius, its height and its floor; empty for one that it has not."""
     int_bytewise: bool
     """Whether an integer parameter travels as its bytes in the float, or as its value."""

@@ -7,35 +7,45 @@ and for that our HEARTBEAT must be the one that it listens to (MAV_GCS_SYSID).
 """
 
 import math
-from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot_bridge.dialects import Dialect, Need, OwnFence
+from autopilot_bridge.dialects import Dialect, Need, OwnFence, Read
 from autopilot_bridge.link import OWN_SYSTEM
 from autopilot_bridge.vehicle import Mode
 
 GUIDED, LOITER, RTL, LAND, BRAKE = 4, 5, 6, 9, 17
-FENCE_TOP, FENCE_CIRCLE = 1, 2
+FENCE_TOP, FENCE_CIRCLE, FENCE_AREAS, FENCE_FLOOR = 1, 2, 4, 8
 """Bits of FENCE_TYPE."""
+FENCE_UNION = 2
+"""Bit of FENCE_OPTIONS."""
 WITH_CIRCLE_AND_TOP = tuple(kinds for kinds in range(16) if kinds & FENCE_TOP and kinds & FENCE_CIRCLE)
 
 
-def _own_fence(parameter: Callable[[str], float]) -> OwnFence:
-    if not parameter("FENCE_ENABLE"):
+def _own_fence(read: Read) -> OwnFence:
+    if not read("FENCE_ENABLE"):
         return OwnFence()
-    kinds = int(parameter("FENCE_TYPE"))
+    kinds = int(read("FENCE_TYPE"))
     return OwnFence(
-        parameter("FENCE_RADIUS") if kinds & FENCE_CIRCLE else math.inf,
-        parameter("FENCE_ALT_MAX") if kinds & FENCE_TOP else math.inf,
+        radius_m=read("FENCE_RADIUS") if kinds & FENCE_CIRCLE else math.inf,
+        height_m=read("FENCE_ALT_MAX") if kinds & FENCE_TOP else math.inf,
+        floor_m=read("FENCE_ALT_MIN") if kinds & FENCE_FLOOR else -math.inf,
+        margin_m=read("FENCE_MARGIN"),
+        areas=bool(kinds & FENCE_AREAS),
+        any_inclusion=bool(int(read("FENCE_OPTIONS")) & FENCE_UNION),
     )
 
 
-def _battery_acts_at(parameter: Callable[[str], float]) -> float:
+def _tilt_max_deg(read: Read) -> float:
+    """Of the position controller; 0: that of all modes."""
+    return read("PSC_ANGLE_MAX") or read("ANGLE_MAX") / 100
+
+
+def _battery_acts_at(read: Read) -> float:
     """By charge; at which share BATT_LOW_VOLT acts nobody can say."""
-    if not parameter("BATT_FS_LOW_ACT"):
+    if not read("BATT_FS_LOW_ACT"):
         return 0.0
-    return min(parameter("BATT_LOW_MAH") / max(parameter("BATT_CAPACITY"), 1.0), 1.0)
+    return min(read("BATT_LOW_MAH") / max(read("BATT_CAPACITY"), 1.0), 1.0)
 
 
 ARDUCOPTER = Dialect(
@@ -84,7 +94,11 @@ ARDUCOPTER = Dialect(
     failsafes={"FS_GCS_ENABLE": (1, 2, 3, 4, 5, 6), "MAV_GCS_SYSID": (OWN_SYSTEM,)},
     stream_loss=("GUID_TIMEOUT", 1.0),
     owners_failsafes={
-        "battery_failsafe": (Need("BATT_FS_LOW_ACT", among=(1, 2, 3, 4, 6)), Need("BATT_LOW_VOLT", above=0)),
+        "battery_failsafe": (
+            Need("BATT_FS_LOW_ACT", among=(1, 2, 3, 4, 6)),
+            Need("BATT_MONITOR", above=0),
+            Need("BATT_LOW_VOLT", above=0, instead="BATT_LOW_MAH"),
+        ),
         "gcs_loss": (Need("FS_GCS_ENABLE", among=(1, 2, 3, 4, 5, 6)),),
         "geofence": (
             Need("FENCE_ENABLE", among=(1,)),
@@ -92,9 +106,9 @@ ARDUCOPTER = Dialect(
             Need("FENCE_TYPE", among=WITH_CIRCLE_AND_TOP),
         ),
     },
-    tilt_max=("ANGLE_MAX", 0.01),
+    tilt_max_deg=_tilt_max_deg,
     own_fence=_own_fence,
     battery_acts_at=_battery_acts_at,
-    fence_parameters=("FENCE_RADIUS", "FENCE_ALT_MAX"),
+    fence_parameters=("FENCE_RADIUS", "FENCE_ALT_MAX", "FENCE_ALT_MIN"),
     int_bytewise=False,
 )

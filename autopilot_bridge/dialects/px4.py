@@ -1,11 +1,10 @@
 """PX4, as measured (shared/design/AUTOPILOT.md sections 2 and 4)."""
 
 import math
-from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot_bridge.dialects import Dialect, Need, OwnFence
+from autopilot_bridge.dialects import Dialect, Need, OwnFence, Read
 from autopilot_bridge.vehicle import Mode
 
 AUTO = 4
@@ -15,15 +14,19 @@ def _custom_mode(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
 
 
-def _own_fence(parameter: Callable[[str], float]) -> OwnFence:
+def _own_fence(read: Read) -> OwnFence:
     """0: none."""
-    if not parameter("GF_ACTION"):
+    if not read("GF_ACTION"):
         return OwnFence()
-    return OwnFence(parameter("GF_MAX_HOR_DIST") or math.inf, parameter("GF_MAX_VER_DIST") or math.inf)
+    return OwnFence(read("GF_MAX_HOR_DIST") or math.inf, read("GF_MAX_VER_DIST") or math.inf, areas=True)
 
 
-def _battery_acts_at(parameter: Callable[[str], float]) -> float:
-    return parameter("BAT_CRIT_THR") if parameter("COM_LOW_BAT_ACT") else 0.0
+def _tilt_max_deg(read: Read) -> float:
+    return read("MPC_TILTMAX_AIR")
+
+
+def _battery_acts_at(read: Read) -> float:
+    return read("BAT_CRIT_THR") if read("COM_LOW_BAT_ACT") else 0.0
 
 
 PX4 = Dialect(
@@ -82,9 +85,9 @@ PX4 = Dialect(
             Need("GF_MAX_VER_DIST", above=0),
         ),
     },
-    tilt_max=("MPC_TILTMAX_AIR", 1.0),
+    tilt_max_deg=_tilt_max_deg,
     own_fence=_own_fence,
     battery_acts_at=_battery_acts_at,
-    fence_parameters=("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"),
+    fence_parameters=("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", ""),
     int_bytewise=True,
 )

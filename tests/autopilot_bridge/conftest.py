@@ -24,13 +24,41 @@ def free_udp_port():
         return probe.getsockname()[1]
 
 
+def upload_fence(own_port, gcs, items):
+    """Over the ground station's link at `gcs` (host:port), whose telemetry goes to `own_port`."""
+    codec, fence = mavlink.MAVLink(None, srcSystem=255, srcComponent=190), mavlink.MAV_MISSION_TYPE_FENCE
+    host, port = gcs.split(":")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        station.bind(("127.0.0.1", own_port))
+        station.settimeout(10)
+
+        def say(message):
+            station.sendto(message.pack(codec), (host, int(port)))
+
+        say(mavlink.MAVLink_mission_count_message(1, 1, len(items), fence))
+        while True:
+            for message in mavlink.MAVLink(None).parse_buffer(station.recv(4096)) or ():
+                if message.get_type() == "MISSION_ACK":
+                    assert message.type == mavlink.MAV_MISSION_ACCEPTED
+                    return
+                if message.get_type() == "MISSION_REQUEST_INT":
+                    command, value, *place = items[message.seq]
+                    x, y = (round(degrees * 1e7) for degrees in place)
+                    say(
+                        mavlink.MAVLink_mission_item_int_message(
+                            1, 1, message.seq, 0, command, 0, 1, value, 0, 0, 0, x, y, 0, fence
+                        )
+                    )
+
+
 class Sitl:
     """`python -m sitl` on free ports; ends with the test."""
 
     def __init__(self, *options, port=None):
         self.port = port or free_udp_port()
         command = [sys.executable, "-m", "sitl", "--companion-port", str(self.port), "--companion-bind", "0"]
-        command += ["--gcs-port", str(free_udp_port()), "--gcs-bind", "0", *options]
+        self.gcs_port = free_udp_port()
+        command += ["--gcs-port", str(self.gcs_port), "--gcs-bind", "0", *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         printed = {}
         while not {"gcs", "control"} <= printed.keys() and ("--lockstep" in options or "gcs" not in printed):
@@ -48,6 +76,10 @@ class Sitl:
         host, port = self.gcs.split(":")
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             out.sendto(message.pack(codec), (host, int(port)))
+
+    def upload_fence(self, items):
+        """As a ground station does, (MAV_CMD, param1, degrees, degrees) each; the vehicle's time must go on."""
+        upload_fence(self.gcs_port, self.gcs, items)
 
     def close(self):
         self.process.terminate()
@@ -84,12 +116,12 @@ def action(slot, displacement):
 
 
 class Flight:
-    """One bridge on a thread, and everything it said."""
+    """One bridge on a thread, and everything it said; `through` makes the endpoint by which others reach it."""
 
-    def __init__(self, config, decide, tlog=None):
+    def __init__(self, config, decide, tlog=None, through=lambda endpoint: endpoint):
         self.endpoint = free_endpoint()
         self.session = open_session(listen=self.endpoint)
-        self.ground = open_session(connect=[self.endpoint])
+        self.ground = open_session(connect=[through(self.endpoint)])
         self.vehicle = "test"
         self.states, self.slots, self.events, self.healths = [], [], [], []
         refused = Counter()
@@ -168,13 +200,29 @@ def sitl():
         yield start
 
 
+@pytest.fixture(scope="module")
+def standing():
+    """One autopilot of each kind for all flights that end before they begin: each puts back what it has set."""
+    kinds = {"px4": (), "arducopter": ("--personality", "arducopter", "--tcp-port", "0")}
+    with contextlib.ExitStack() as stack:
+        started = {}
+
+        def start(kind):
+            if kind not in started:
+                started[kind] = Sitl("--speed", "10", *kinds[kind])
+                stack.callback(started[kind].close)
+            return started[kind]
+
+        yield start
+
+
 @pytest.fixture
 def fly():
     """Start flights: `fly(config, decide)`."""
     with contextlib.ExitStack() as stack:
 
-        def start(config, decide=lambda opened: (0.0, 0.0, 0.0), tlog=None):
-            flight = Flight(config, decide, tlog)
+        def start(config, decide=lambda opened: (0.0, 0.0, 0.0), tlog=None, **options):
+            flight = Flight(config, decide, tlog, **options)
             stack.callback(flight.close)
             return flight
 

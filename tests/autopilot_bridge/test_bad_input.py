@@ -20,7 +20,18 @@ QUADROTOR, PLANE, GROUND = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_FIXED_WI
 class Talker:
     """Beats, and tells its position if it has one; takes down what it is asked for. On a socket of its own."""
 
-    def __init__(self, port, system=1, component=1, kind=QUADROTOR, autopilot=PX4, position=False, home=None):
+    def __init__(
+        self,
+        port,
+        system=1,
+        component=1,
+        kind=QUADROTOR,
+        autopilot=PX4,
+        position=False,
+        home=None,
+        parameters=None,
+        stubborn=False,
+    ):
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.settimeout(0.02)
@@ -28,7 +39,7 @@ class Talker:
         self._codec = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
         self._kind, self._autopilot, self._position, self._home = kind, autopilot, position, home
         self.commands = []
-        self._parameters = {}
+        self._parameters, self._stubborn = dict(parameters or {}), stubborn
         self._over = False
         self._thread = threading.Thread(target=self._talk)
         self._thread.start()
@@ -57,10 +68,14 @@ class Talker:
             match message.get_type():
                 case "COMMAND_LONG":
                     self.commands.append(message.command)
+                    self._send(mavlink.MAVLink_command_ack_message(message.command, mavlink.MAV_RESULT_ACCEPTED))
+                    if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+                        self._send(mavlink.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, *[[0] * 8] * 3, 0, 0, 1))
                 case "PARAM_REQUEST_READ":
                     self._tell(message.param_id)
                 case "PARAM_SET":
-                    self._parameters[message.param_id] = message.param_value
+                    if not self._stubborn:
+                        self._parameters[message.param_id] = message.param_value
                     self._tell(message.param_id)
 
     def _tell(self, name):
@@ -101,14 +116,22 @@ class Place:
         self.port = port
 
 
+@pytest.fixture
+def impatient(monkeypatch):
+    """Of a link on which nobody ever answers."""
+    monkeypatch.setattr("autopilot_bridge.mavlink_vehicle.CONNECT_WALL_S", 1.5)
+
+
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize(
     ("talkers", "told"),
     [
-        ([{"system": 7}], "no HEARTBEAT of system 1 within 5 s); heard: system 7 (px4 quadrotor)"),
+        ([{"system": 7}], "no HEARTBEAT of system 1 within 1.5 s); heard: system 7 (px4 quadrotor)"),
         (
             [{"system": 255, "component": 190, "kind": GROUND, "autopilot": INVALID}],
-            "never answered (no HEARTBEAT of system 1 within 5 s); heard: system 255, component 190 (gcs)",
+            "never answered (no HEARTBEAT of system 1 within 1.5 s); heard: system 255, component 190 (gcs)",
         ),
+        ([{"kind": mavlink.MAV_TYPE_ANTENNA_TRACKER, "autopilot": COPTER}], "heard: system 1 (antenna tracker)"),
         ([{"kind": GROUND, "autopilot": INVALID}], "heard: system 1 (gcs)"),
         ([{"kind": GROUND}], "heard: system 1 (gcs)"),
         ([{"autopilot": INVALID}], "heard: system 1 (quadrotor)"),
@@ -146,6 +169,29 @@ def test_without_a_gps_origin_there_is_no_flight(fly, bridge_config, talk, port,
     assert mavlink.MAV_CMD_COMPONENT_ARM_DISARM not in talker.commands
 
 
+READY = {"position": True, "home": (47.0, 8.0)}
+
+
+@pytest.mark.parametrize(
+    ("talker", "changes", "told"),
+    [
+        ({"stubborn": True}, {"parameters": {"MPC_XY_VEL_MAX": 6}}, "MPC_XY_VEL_MAX: the autopilot did not take 6"),
+        ({"parameters": {"MPC_XY_VEL_MAX": 0}}, {}, "MPC_XY_VEL_MAX is 0: must be more than 0 to fly within it"),
+        ({"parameters": {"MPC_Z_VEL_MAX_DN": math.nan}}, {}, "MPC_Z_VEL_MAX_DN is nan: must be more than 0"),
+        ({"parameters": {"MPC_TILTMAX_AIR": 0}}, {}, "tilt limit is 0 deg: must be more than 0"),
+        ({"autopilot": COPTER, "parameters": {"PSC_JERK_XY": 0}}, {}, "PSC_JERK_XY is 0: must be more than 0"),
+        ({"parameters": {"COM_OF_LOSS_T": math.nan}}, {"allow_without": ["battery_failsafe"]}, "offboard_loss is"),
+    ],
+)
+def test_parameters_with_which_nothing_flies_are_told(fly, bridge_config, talk, port, talker, changes, told):
+    there = talk(port, **(READY | talker))
+    without = {"allow_without": ["offboard_loss", "battery_failsafe"], "put_back": False}
+    flight = fly(bridge_config(Place(port), **(without | changes)))
+    assert flight.wait() == 1
+    assert told in flight.told("error")[0]
+    assert mavlink.MAV_CMD_COMPONENT_ARM_DISARM not in there.commands
+
+
 @pytest.mark.parametrize(
     ("other", "told"),
     [
@@ -163,11 +209,25 @@ def test_two_autopilots_on_one_link_are_not_flown(sitl, fly, bridge_config, talk
     assert not any(state.armed for state in flight.states)
 
 
-def test_ground_stations_companions_and_gimbals_do_no_harm(sitl, fly, bridge_config, talk):
-    autopilot = sitl("--speed", "5", "--param", "COM_OF_LOSS_T=10")
+def test_ground_stations_companions_gimbals_and_trackers_do_no_harm(sitl, fly, bridge_config, talk):
+    autopilot = sitl("--speed", "10", "--param", "COM_OF_LOSS_T=10")
     talk(autopilot.port, system=255, component=190, kind=GROUND, autopilot=INVALID)
     talk(autopilot.port, system=1, component=191, kind=mavlink.MAV_TYPE_ONBOARD_CONTROLLER, autopilot=INVALID)
     talk(autopilot.port, system=1, component=154, kind=mavlink.MAV_TYPE_GIMBAL, autopilot=INVALID)
+    talk(autopilot.port, system=1, component=156, kind=mavlink.MAV_TYPE_ADSB, autopilot=INVALID, position=True)
+    talk(autopilot.port, system=2, component=1, kind=mavlink.MAV_TYPE_ANTENNA_TRACKER, autopilot=COPTER)
     talk(autopilot.port, system=1, component=1, kind=GROUND, autopilot=INVALID)  # with the vehicle's own name
-    flight = fly(bridge_config(autopilot, clock={"kind": "paced", "speed": 5.0}))
+    flight = fly(bridge_config(autopilot, clock={"kind": "paced", "speed": 10.0}))
     assert flight.wait() == 0
+
+
+def test_who_speaks_as_the_vehicle_in_flight_is_not_believed_and_told(sitl, fly, bridge_config, talk):
+    autopilot = sitl("--speed", "10", "--param", "COM_OF_LOSS_T=10")
+    flight = fly(bridge_config(autopilot, clock={"kind": "paced", "speed": 10.0}, slots=20))
+    flight.until_slot(1)
+    talk(autopilot.port, autopilot=PX4, position=True)  # disarmed, at home, in another mode
+    talk(autopilot.port, system=2)
+    assert flight.wait() == 0
+    assert flight.told("mode") == []
+    told = " ".join(flight.told("vehicle"))
+    assert "both speak as system 1" in told

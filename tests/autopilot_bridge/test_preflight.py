@@ -161,11 +161,12 @@ def test_a_journal_that_cannot_be_written_forbids_the_flight(sitl, fly, bridge_c
     assert "arming" not in flight.phases
 
 
-PX4, COPTER = (), ("--personality", "arducopter", "--tcp-port", "0")
+PX4, COPTER = "px4", "arducopter"
+PACED = {"clock": {"kind": "paced", "speed": 10.0}}
 
 
 @pytest.mark.parametrize(
-    ("options", "changes", "told"),
+    ("kind", "changes", "told"),
     [
         (
             PX4,
@@ -181,6 +182,7 @@ PX4, COPTER = (), ("--personality", "arducopter", "--tcp-port", "0")
             "offboard_loss is off: parameters.COM_OBL_RC_ACT is 1, must be 3 or 4",
         ),
         (PX4, {"parameters": {"COM_OF_LOSS_T": 11}}, "offboard_loss is late: COM_OF_LOSS_T is 11 s, must be 10 s at"),
+        (PX4, {"parameters": {"COM_OF_LOSS_T": 0.1}}, "offboard_loss is hasty: COM_OF_LOSS_T is 0.1 s, must be 0.25"),
         (PX4, {"parameters": {"GF_MAX_HOR_DIST": 72}}, "box: its corners are 70.7 m from home; the autopilot's own"),
         (PX4, {"parameters": {"GF_MAX_VER_DIST": 41}}, "box: its top is 40 m above home"),
         (PX4, {"parameters": {"NO_SUCH": 1}}, "parameter NO_SUCH: unknown to the autopilot"),
@@ -194,7 +196,22 @@ PX4, COPTER = (), ("--personality", "arducopter", "--tcp-port", "0")
             "battery: 8.0 kJ are left, the way home from the start needs 12.8 kJ",
         ),
         (COPTER, {"allow_without": []}, "battery_failsafe is off: BATT_FS_LOW_ACT is 0, must be 1, 2, 3, 4 or 6"),
+        (
+            COPTER,
+            {"allow_without": [], "parameters": {"BATT_FS_LOW_ACT": 2, "BATT_LOW_VOLT": 0}},
+            "battery_failsafe is off: BATT_LOW_VOLT is 0 and BATT_LOW_MAH is 0, one must be more than 0",
+        ),
         (COPTER, {"require": ["geofence"]}, "geofence is off: FENCE_ENABLE is 0, must be 1"),
+        (
+            COPTER,
+            {"parameters": {"FENCE_ENABLE": 1, "FENCE_RADIUS": 80, "FENCE_MARGIN": 10}},
+            "box: its corners are 70.7 m from home; the autopilot's own fence, FENCE_RADIUS 80 m, must be 10 m further",
+        ),
+        (
+            COPTER,
+            {"parameters": {"FENCE_ENABLE": 1, "FENCE_TYPE": 15, "FENCE_ALT_MIN": 7}},
+            "box: its bottom is 8 m above home; the autopilot's own fence, FENCE_ALT_MIN 7 m, must be 2 m further",
+        ),
         (
             COPTER,
             {"parameters": {"FENCE_ENABLE": 1, "FENCE_RADIUS": 60}},
@@ -202,8 +219,8 @@ PX4, COPTER = (), ("--personality", "arducopter", "--tcp-port", "0")
         ),
     ],
 )
-def test_what_forbids_a_flight_is_told_and_nothing_arms(sitl, fly, bridge_config, options, changes, told):
-    flight = fly(bridge_config(sitl("--lockstep", *options), **changes))
+def test_what_forbids_a_flight_is_told_and_nothing_arms(standing, fly, bridge_config, kind, changes, told):
+    flight = fly(bridge_config(standing(kind), **(PACED | changes)))
     assert flight.wait() == 1
     (error,) = flight.told("error")
     assert told in error
@@ -223,6 +240,15 @@ def test_failsafes_that_the_mission_sets_or_does_without_let_it_fly(sitl, fly, b
     assert not any("COM_OBL_RC_ACT" in text for text in flight.told("parameter"))
     assert flight.command("land").accepted
     assert flight.wait() == 3
+
+
+def test_a_battery_failsafe_by_charge_is_one(standing, fly, bridge_config):
+    parameters = {"BATT_FS_LOW_ACT": 2, "BATT_LOW_VOLT": 0, "BATT_LOW_MAH": 500}
+    flight = fly(bridge_config(standing(COPTER), allow_without=[], parameters=parameters, autostart=False, **PACED))
+    flight.until_phase("ready")
+    assert flight.command("land").accepted
+    assert flight.wait() == 3
+    assert "BATT_LOW_VOLT put back to 10.5" in flight.told("parameter")
 
 
 def test_setpoints_stay_below_the_autopilots_own_fence(sitl, fly, bridge_config):
