@@ -13,7 +13,8 @@ wind and tilt. Users and fading are the same for all three: the world's randomne
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal
 
 import msgspec
@@ -140,9 +141,10 @@ def flyability(log: FlightLog, mission: Mission) -> Flyability | None:
         _moved(opened, planned, {k: slot.plan for k, slot in flown.items()}, mission),
         [opened[k] for k in sorted(opened)],
     )
-    as_set, refused = _as_set(flights, configurations, mission)
     anew_by = _anew_by(mission)
-    anew = None if anew_by is None else _anew(flights, mission)
+    with _one_thread():
+        as_set, refused = _as_set(flights, configurations, mission)
+        anew = None if anew_by is None else _anew(flights, mission)
     rows = [
         SlotFlyability(
             slot=k,
@@ -231,6 +233,19 @@ def _moved(
 
 
 # What the slots are worth there.
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """The tensors of a slot are small: on a busy machine more threads took 24 s for what one does in one."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _as_set(

@@ -165,13 +165,17 @@ def table(report: Report) -> RenderableType:
         for name, value in _setpoint_rows(report.setpoints):
             total.add_row(name, value)
     if report.slots and report.flyability is None:
-        why = "no mission.yaml in the run folder" if report.seed is None else "no slot was recorded whole"
+        why = "no mission.yaml" if report.seed is None else "no slot was recorded whole"
         total.add_row("flyability", f"unknown: {why}")
     if not report.log_complete:
         total.add_row("recording cut short", f"{report.log_lost_bytes} bytes unreadable")
     parts: list[RenderableType] = [users, total]
     if report.flyability is not None:
         parts.append(_flyability_table(report.flyability))
+        if report.flyability.left_out:
+            parts.append(
+                f"without the slots that somebody else flew: {', '.join(map(str, report.flyability.left_out))}"
+            )
         if report.flyability.difference:
             parts.append(f"flyability cannot be trusted: {report.flyability.difference}")
     if report.setpoints is not None:
@@ -180,35 +184,33 @@ def table(report: Report) -> RenderableType:
 
 
 def _setpoint_rows(sent: Setpoints) -> Iterator[tuple[str, str]]:
-    counted = ", ".join(f"{source} {number}" for source, number in sent.by_source.items())
-    yield "setpoints", f"{sent.number}: {counted}"
+    yield "setpoints", str(sent.number)
     if sent.clipped:
         yield "setpoints clipped", ", ".join(f"{reason} {number}" for reason, number in sent.clipped.items())
     action = "none" if sent.max_action_age_s is None else f"{sent.max_action_age_s:.2f}"
     yield (
-        "longest interval / oldest action / oldest state",
+        "longest interval / action age / state age",
         f"{sent.longest_interval_s:.2f} / {action} / {sent.max_state_age_s:.2f} s",
     )
 
 
 def _flyability_table(flyable: Flyability) -> Table:
     """What the flight would have been worth where it was sent, planned and flown."""
-    others = len(flyable.left_out)
-    without = f", {others} more {'was' if others == 1 else 'were'} flown by somebody else" if others else ""
-    shown = Table(title=f"flyability: {flyable.slots} slots{without}", title_justify="left")
+    anew = "" if flyable.anew_by is None else f", or set anew ({flyable.anew_by.replace('_', ' ')})"
+    shown = Table(title=f"flyability: {flyable.slots} slots, surface as set in flight{anew}", title_justify="left")
     shown.add_column("")
-    for column in ("commanded", "planned", "flown", "lost to limits", "lost to tracking"):
+    for column in ("commanded", "planned", "flown", "lost to\nlimits", "lost to\ntracking"):
         shown.add_column(column, justify="right")
 
     def row(name: str, total: Total, unit: float, digits: int) -> None:
         numbers = (total.commanded, total.planned, total.flown, total.lost_to_limits, total.lost_to_tracking)
         shown.add_row(name, *(f"{number / unit:.{digits}f}" for number in numbers))
 
-    shown.add_row("RMS distance, m", "", "", "", f"{flyable.limits_rms_m:.2f}", f"{flyable.tracking_rms_m:.2f}")
-    for how, worth in (("surface as flown", flyable.as_set), (f"{flyable.anew_by}".replace("_", " "), flyable.anew)):
+    shown.add_row("distance, m RMS", "", "", "", f"{flyable.limits_rms_m:.2f}", f"{flyable.tracking_rms_m:.2f}")
+    for how, worth in (("as set", flyable.as_set), ("anew", flyable.anew)):
         if worth is not None:
-            row(f"sum rate, {how}, Mbit/s", worth.rate_bps, 1e6, 3)
-            row(f"reward, {how}", worth.reward, 1.0, 2)
+            row(f"rate {how}, Mbit/s", worth.rate_bps, 1e6, 3)
+            row(f"reward {how}", worth.reward, 1.0, 2)
     row("energy, kJ", flyable.energy_j, 1e3, 2)
     return shown
 
