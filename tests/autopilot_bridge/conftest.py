@@ -188,6 +188,12 @@ def own_state(monkeypatch, tmp_path):
 
 
 @pytest.fixture
+def upload():
+    """`upload(own_port, gcs, items)`: a fence, as a ground station does."""
+    return upload_fence
+
+
+@pytest.fixture
 def sitl():
     """Start SITLs: `sitl("--lockstep")`."""
     with contextlib.ExitStack() as stack:

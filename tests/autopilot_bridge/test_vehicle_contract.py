@@ -18,11 +18,13 @@ from autopilot_bridge.link import Link
 from autopilot_bridge.mavsdk_vehicle import MavsdkVehicle
 from autopilot_bridge.pymavlink_vehicle import PymavlinkVehicle
 from autopilot_bridge.vehicle import Mode, RefusedError, SilentError, VehicleError
-from tests.sitl.process import sitl_process
+from tests.sitl.process import sitl_process, step
 
 SPEED = 6.0
-LOSS = {"px4": {"COM_OF_LOSS_T": 3}, "arducopter": {}}
-"""So that a busy machine's stalls, six times as long, do not pass for a stream that stopped."""
+SIMULATED = {"px4": {"COM_OF_LOSS_T": 3, "RTL_RETURN_ALT": 8}, "arducopter": {"RTL_ALT": 800, "LAND_SPEED": 100}}
+"""So that a busy machine's stalls, six times as long, do not pass for a stream that stopped, and returns are short."""
+BOOT_MS = {"px4": 5000, "arducopter": 45000}
+"""After which it can be armed; skipped in simulation."""
 BACKENDS = {"pymavlink": PymavlinkVehicle, "mavsdk": MavsdkVehicle}
 PERSONALITIES = ("px4", "arducopter")
 NAMES = {
@@ -36,7 +38,9 @@ HEIGHT_M = 6.0
 class Pilot:
     """A vehicle, and the time it flies in."""
 
-    def __init__(self, url, backend, speed):
+    def __init__(self, url, backend, speed, sitl=None):
+        self.sitl = sitl
+        """None when it is a real one."""
         self.link = Link(url, system_id=1, tamper_out=self.note)
         self.setpoints = 0
         """Sent so far."""
@@ -106,12 +110,13 @@ def pair(request):
     """A connected pilot of one pair."""
     backend, autopilot = request.param
     with contextlib.ExitStack() as stack:
-        url, speed = autopilot, 1.0
+        url, speed, sitl = autopilot, 1.0, None
         if autopilot in PERSONALITIES:
-            options = {"lockstep": False, "speed": SPEED, "parameters": LOSS[autopilot]}
-            sitl = stack.enter_context(sitl_process("--personality", autopilot, **options))
+            options = {"lockstep": False, "speed": SPEED, "parameters": SIMULATED[autopilot]}
+            sitl = stack.enter_context(sitl_process("--personality", autopilot, "--tcp-port", "0", **options))
+            step(sitl, BOOT_MS[autopilot])
             url, speed = f"udpin://127.0.0.1:{sitl.companion}", SPEED
-        pilot = Pilot(url, backend, speed)
+        pilot = Pilot(url, backend, speed, sitl)
         stack.callback(pilot.vehicle.close)
         pilot.vehicle.connect()
         whole = NAMES[pilot.vehicle.dialect.name]["whole"]
@@ -154,6 +159,20 @@ def test_parameters_of_both_kinds_are_read_and_written(pair):
 def test_an_unknown_parameter_is_told(pair):
     with pytest.raises(VehicleError, match="NO_SUCH: unknown"):
         pair.vehicle.parameter("NO_SUCH")
+
+
+def test_the_uploaded_fence_is_read(pair, upload):
+    if pair.sitl is None:  # what is there is the owner's
+        assert isinstance(pair.vehicle.uploaded_fence(), list)
+        return
+    assert pair.vehicle.uploaded_fence() == []
+    corners = [(47.398, 8.544), (47.398, 8.547), (47.396, 8.547)]
+    items = [(mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, 3.0, *corner) for corner in corners]
+    items.append((mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 12.5, 47.3985, 8.5465))
+    upload(pair.sitl.gcs, f"127.0.0.1:{pair.sitl.gcs_bind}", items)
+    found = pair.vehicle.uploaded_fence()
+    assert [(item.command, item.value) for item in found] == [item[:2] for item in items]
+    assert [(item.latitude, item.longitude) for item in found] == [pytest.approx(item[2:], abs=1e-7) for item in items]
 
 
 def test_takes_off_and_hovers_about_home(pair):
