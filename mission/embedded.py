@@ -4,6 +4,7 @@ import os
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from mission.mission_file import Mission
 from mission.supervisor import python
@@ -92,20 +93,20 @@ def command(simulator: Simulator, companion_port: int, seed: int, spacing_m: flo
 def free_udp_ports(count: int) -> int:
     """The first of `count` UDP ports in a row on loopback that were free a moment ago. Raises OSError."""
     if count == 1:
-        return _taken(0)
+        return bindable(0)
     start = BASE_PORT + os.getpid() * TOGETHER % (LAST_PORT - BASE_PORT)  # two launchers do not look in one place
-    for first in (*range(start, LAST_PORT, count), *range(BASE_PORT, start, count)):
+    for first in chain(range(start, LAST_PORT, count), range(BASE_PORT, start, count)):
         try:
             for port in range(first, first + count):
-                _taken(port)
+                bindable(port)
         except OSError:
             continue
         return first
     raise OSError(f"no {count} free UDP ports in a row from {BASE_PORT} to {LAST_PORT}")
 
 
-def _taken(port: int) -> int:
-    """The port that was bound, and is free again."""
+def bindable(port: int) -> int:
+    """The port (of 0: one that the system chose), which is free. Raises OSError when it is not."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", port))
         taken: int = probe.getsockname()[1]

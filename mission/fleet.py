@@ -1,17 +1,16 @@
 """Missions of several vehicles: `vehicles:` in place of `vehicle:`, each flown by a bridge of its own."""
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from agent.policy import PolicyConfig
-from airframe.slot_profile import Vector
 from autopilot_bridge.neighbours import usual_age_s
-from autopilot_bridge.separation import nearest_points
+from autopilot_bridge.separation import Segment, nearest_points
 from mission import mission_file
 from mission.mission_file import (
     EMBEDDED,
@@ -24,8 +23,8 @@ from mission.mission_file import (
     validated,
 )
 from rf_model.config_errors import one_line
-from rf_model.node import vehicle_seeds
 from rf_model.scenario import ScenarioError, make_scenario
+from rf_model.seeding import vehicle_seeds
 
 VEHICLES_MAX = 100
 RESERVED = ("logs",)
@@ -95,7 +94,7 @@ class Fleet(Shared):
         for number, place in enumerate(embedded):
             for before in embedded[:number]:
                 ours, theirs = nearest_points(ways[place], ways[before])
-                gap_m = float(np.hypot(*(ours - theirs)))
+                gap_m = math.dist(ours, theirs)
                 if gap_m <= apart_m:
                     raise ValueError(
                         f"{SEVERAL}.{place}: the way from home to start comes within {gap_m:.1f} m of that of "
@@ -135,7 +134,9 @@ class Fleet(Shared):
         for place, value in enumerate(values):
             if value is not None and value in values[:place]:
                 first = self.vehicles[values.index(value)].name
-                raise ValueError(f"{SEVERAL}.{place}.{field}: {value!r} is {first!r}'s already; each needs its own")
+                raise ValueError(
+                    f"{SEVERAL}.{place}.{field}: {value!r} is that of {first!r} already; each needs its own"
+                )
 
 
 def load(path: Path, **overrides: object) -> Mission | Fleet:
@@ -207,7 +208,7 @@ def _numbered(place: int, vehicle: object) -> object:
     return {"name": f"star{place}", **({"system_id": place} if embedded else {})} | vehicle
 
 
-def _way(mission: Mission, home_m: float) -> Vector:
-    """From home, so far east, to the start: (2, 2), in plan."""
+def _way(mission: Mission, home_m: float) -> Segment:
+    """From home, so far east, to the start, in plan."""
     east, north, _ = mission.scenario.start_enu
-    return np.array([[home_m, 0.0], [home_m + east, north]])
+    return (home_m, 0.0), (home_m + east, north)

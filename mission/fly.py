@@ -6,6 +6,7 @@ node serve all, and simulator processes play as many as they can (`embedded`).
 
 import queue
 import signal
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,7 +23,7 @@ from mission.fleet import Fleet, missions
 from mission.flight_log import FlightLogError
 from mission.mission_file import Mission
 from mission.progress import FlightView
-from mission.report import Report, table, write
+from mission.report import Report, prepare, table, write
 from mission.summary import summary
 from mission.supervisor import Node, describe_exit, end_all, python
 from mission.vehicle_flight import AS_PLANNED, ERROR, FAILSAFE, Item, VehicleFlight, reason, told
@@ -86,6 +87,8 @@ class _Flight:
         """Nodes that serve all vehicles: radio, agent, simulators."""
         self._gone: set[str] = set()
         """Those whose death was dealt with."""
+        self._preparing: threading.Thread | None = None
+        """Imports what the report needs while the vehicles come down."""
         self._interrupts = 0
         self._obeyed = 0
         self.abandoned = False
@@ -305,4 +308,11 @@ class _Flight:
             except queue.Empty:
                 break
             vehicle.take(item)
+        if self._preparing is None and self._mission.record.mcap and all(map(_coming_down, self._vehicles)):
+            self._preparing = threading.Thread(target=prepare, daemon=True)
+            self._preparing.start()
         self._view.show()
+
+
+def _coming_down(vehicle: VehicleFlight) -> bool:
+    return vehicle.over or vehicle.phase in ("returning", "landing")

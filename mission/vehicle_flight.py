@@ -56,7 +56,8 @@ class VehicleFlight:
         self.started = False
         self._session = session
         self._alive: set[str] = set()
-        self._phase = ""
+        self.phase = ""
+        """The bridge's, as last heard."""
         self.start_at = 0.0
         """When to ask for the start again (monotonic clock)."""
         self.unstarted = ""
@@ -91,7 +92,7 @@ class VehicleFlight:
     @property
     def ready(self) -> bool:
         """Whether its preflight is over and its nodes are there."""
-        return self._phase == "ready" and not self.missing
+        return self.phase == "ready" and not self.missing
 
     @property
     def over(self) -> bool:
@@ -113,7 +114,7 @@ class VehicleFlight:
         """What the bus said."""
         match item:
             case VehicleState():
-                self.armed, self._phase = item.armed, item.phase
+                self.armed, self.phase = item.armed, item.phase
                 self.started |= item.phase not in BEFORE_START  # also when the answer to `start` was lost
                 self.view.state(item)
             case SlotOpened():
@@ -123,7 +124,7 @@ class VehicleFlight:
             case MissionEvent():
                 self.view.event(item)
                 if item.kind == "phase":
-                    self._phase = item.text
+                    self.phase = item.text
                 if item.kind in ("error", "failsafe"):
                     self._why = item.text
                 if item.kind == "ended":

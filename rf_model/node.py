@@ -20,7 +20,7 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -41,7 +41,6 @@ from bus.messages import (
 from rf_model.history import History
 from rf_model.ris_control import RisControl
 from rf_model.scenario import Scenario
-from rf_model.seeding import seed_of
 from rf_model.slot_radio import AGENT, SlotRadio, rehearse
 
 NODE = "rf"
@@ -60,12 +59,6 @@ class World:
 
     scenario: Scenario
     seed: int
-
-
-def vehicle_seeds(seed: int, vehicles: Sequence[str]) -> dict[str, int]:
-    """A seed for each vehicle: the first has `seed` itself, every other one that follows from `seed` and its name."""
-    seeds = {name: seed_of(seed, *name.encode()) >> 1 for name in vehicles}
-    return seeds | {vehicles[0]: seed}
 
 
 def run(

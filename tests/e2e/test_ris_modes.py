@@ -12,7 +12,7 @@ from bus.session import free_endpoint, open_session
 from mission.replay import replay
 from mission.supervisor import Node, python
 from mission.transitions import transitions
-from rf_model.node import vehicle_seeds
+from rf_model.seeding import vehicle_seeds
 from rf_model.ris_control import RisControl
 from rf_model.scenario import preset
 from rf_model.slot_radio import SlotRadio

@@ -24,9 +24,10 @@ from bus.messages import (
     VehicleState,
 )
 from bus.session import free_endpoint, open_session
-from rf_model.node import World, run, vehicle_seeds
+from rf_model.node import World, run
 from rf_model.ris_control import RisControl, RisControlError
 from rf_model.scenario import preset
+from rf_model.seeding import vehicle_seeds
 from rf_model.slot_radio import SlotRadio
 
 SCENARIO = preset("physical_small")

@@ -1,7 +1,6 @@
 """Streams are part of what a recorded flight means: a replay draws them again."""
 
-from rf_model.node import vehicle_seeds
-from rf_model.seeding import generator_of, seed_of
+from rf_model.seeding import generator_of, seed_of, vehicle_seeds
 
 
 def test_streams_stay_those_of_flights_already_recorded():
