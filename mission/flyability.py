@@ -135,7 +135,7 @@ def flyability(log: FlightLog, mission: Mission) -> Flyability | None:
 
     planned = _planned(opened, flown)
     commanded = _commanded(planned, flown, mission)
-    teleports = {k: _straight(opened[k], opened[k + 1], planned[k], commanded[k + 1]) for k in flown}
+    teleports = {k: _teleport(opened[k], planned[k], commanded[k + 1], mission.scenario.slot_s) for k in flown}
     flights = (
         _moved(opened, commanded, teleports, mission),
         _moved(opened, planned, {k: slot.plan for k, slot in flown.items()}, mission),
@@ -199,12 +199,12 @@ def _commanded(planned: Mapping[int, Vec3], flown: Mapping[int, FlownSlot], miss
     return places
 
 
-def _straight(opening: SlotOpened, closing: SlotOpened, start: Vec3, end: Vec3) -> list[TrackSample]:
+def _teleport(opening: SlotOpened, start: Vec3, end: Vec3, slot_s: float) -> list[TrackSample]:
     """From start to end at one velocity."""
-    east, north, up = ((b - a) / (closing.time_s - opening.time_s) for a, b in zip(start, end, strict=True))
+    east, north, up = ((b - a) / slot_s for a, b in zip(start, end, strict=True))
     return [
         TrackSample(time_s=time_s, position_enu=place, velocity_enu=(east, north, up))
-        for time_s, place in ((opening.time_s, start), (closing.time_s, end))
+        for time_s, place in ((opening.time_s, start), (opening.time_s + slot_s, end))
     ]
 
 
@@ -308,7 +308,7 @@ def _repeated(configuration: RisConfiguration, mission: Mission) -> Action:
     )
 
 
-def _aligned(state: ChannelState, mission: Mission) -> Action:
+def _aligned(state: ChannelState, mission: Mission) -> Action | None:
     """The action that sets the closed form for the channels observed."""
     import torch
 
@@ -324,6 +324,8 @@ def _aligned(state: ChannelState, mission: Mission) -> Action:
         ris_user=matrix(state.ris_user),
         transmission=torch.tensor([region == "transmission" for region in state.regions]),
     )
+    if not all(torch.isfinite(torch.view_as_real(link)).all() for link in (known.direct, known.bs_ris, known.ris_user)):
+        return None  # as the agent, which is told nothing of such channels
     trc, beamforming = closed_form(mission.scenario, known)
     return Action(
         slot=state.slot,
