@@ -100,6 +100,26 @@ def test_what_a_killed_bridge_left_is_put_back_by_the_next(sitl, fly, bridge_con
     assert journal(tmp_path).read_text() == ""
 
 
+def test_mavsdk_puts_back_what_a_killed_bridge_left_too(sitl, fly, bridge_config, tmp_path):
+    """One float and one whole parameter, at the wall clock's pace: MAVSDK knows no other."""
+    autopilot = sitl(*PATIENT)
+    mavsdk = {"backend": "mavsdk", "autostart": False}
+    bridge = Bridge(bridge_config(autopilot, parameters={"MPC_XY_VEL_MAX": 6.0}, **mavsdk))
+    bridge.until("phase: ready")
+    bridge.kill()
+    assert len(journal(tmp_path).read_text().splitlines()) == 3
+    again = fly(bridge_config(autopilot, **mavsdk))
+    again.until_phase("ready")
+    assert [text for text in again.told("parameter") if "put back" in text] == [
+        "MPC_XY_VEL_MAX put back to 12",
+        "COM_OBL_RC_ACT put back to 0",
+        "MIS_TAKEOFF_ALT put back to 2.5",
+    ]
+    assert again.command("land").accepted
+    assert again.wait() == 3
+    assert journal(tmp_path).read_text() == ""
+
+
 def test_parameters_are_put_back_on_the_ground_after_every_end(sitl, fly, bridge_config, tmp_path):
     autopilot = sitl("--speed", "10", *PATIENT)
     paced = {"kind": "paced", "speed": 10.0}
