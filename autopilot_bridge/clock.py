@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from autopilot_bridge.deadman import Moment
 from autopilot_bridge.link import ControlLine
 from autopilot_bridge.vehicle import SilentError, Vehicle
 
@@ -21,6 +22,10 @@ class Clock(Protocol):
     @property
     def now(self) -> float:
         """Vehicle time [s] at the last step; while `meanwhile` is called, that of the call."""
+
+    @property
+    def moment(self) -> Moment:
+        """Now, on both clocks."""
 
     @property
     def frozen_between_steps(self) -> bool:
@@ -45,6 +50,10 @@ class Lockstep:
         self._line = ControlLine(control)
         self._step_ms = step_ms
         self.now = self._line.hello()
+
+    @property
+    def moment(self) -> Moment:
+        return Moment(self.now, self.now)
 
     def step(self, vehicle: Vehicle, meanwhile: Callable[[], None] = lambda: None) -> None:
         before = vehicle.frames_received
@@ -78,6 +87,10 @@ class Paced:
         self._heard_at = time.monotonic()
         self._steps = 0
         self.now = 0.0
+
+    @property
+    def moment(self) -> Moment:
+        return Moment(self.now, time.monotonic() * self._speed)
 
     def step(self, vehicle: Vehicle, meanwhile: Callable[[], None] = lambda: None) -> None:
         last_s, due_s = self._at(self._steps), self._at(self._steps + 1)

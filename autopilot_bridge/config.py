@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from airframe.slot_profile import Agility, SpeedLimits, Vector
+from autopilot_bridge.deadman import Deadman
 from autopilot_bridge.energy import Endurance
 from autopilot_bridge.fence import Box, Fence, Strict, holds_box
 from autopilot_bridge.url import parse_url
@@ -140,8 +141,12 @@ class BridgeConfig(Strict):
     action_deadline_fraction: Annotated[float, Field(gt=0, le=1)] = 0.25
     action_wait_wall_s: Annotated[float, Field(ge=0, le=600)] = 5.0
     """Lockstep only: how long vehicle time stands still for an action."""
+    hold_mode_s: Annotated[float, Field(gt=0, le=3600)] = 5.0
+    """Without one good action for so long (two slots at least) the autopilot's own hold mode is asked for."""
     grace_s: Annotated[float, Field(gt=0, le=3600)] = 15.0
-    """Vehicle time without one good action after which the vehicle is sent home."""
+    """Without one good action, or position, for so long (three slots at least) the vehicle is sent home."""
+    return_s: Annotated[float, Field(gt=0, le=3600)] = 300.0
+    """A vehicle sent home that is not on the ground after so long is told to land where it is."""
     await_restart: bool = True
     """Lockstep: wait for an action also while the agent or rf node is dead, since it will be restarted."""
     at_end: Literal["return", "land"] = "return"
@@ -237,6 +242,16 @@ class BridgeConfig(Strict):
     def tick_ms(self) -> int:
         """The bridge's step of vehicle time [ms]."""
         return 1000 // self.setpoint_hz
+
+    @property
+    def deadman(self) -> Deadman:
+        """The ladder's thresholds."""
+        return Deadman(
+            deadline_s=self.deadline_s,
+            hold_mode_s=max(self.hold_mode_s, 2 * self.slot_s),
+            grace_s=max(self.grace_s, 3 * self.slot_s),
+            return_s=self.return_s,
+        )
 
     @property
     def deadline_s(self) -> float:

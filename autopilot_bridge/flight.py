@@ -22,6 +22,7 @@ from airframe.slot_profile import brake
 from autopilot_bridge import preflight
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig
+from autopilot_bridge.deadman import SILENCE_WALL_S, Rung
 from autopilot_bridge.endings import AS_PLANNED, ERROR, FAILSAFE, End, Yielded
 from autopilot_bridge.flight_parameters import FlightParameters
 from autopilot_bridge.ground import Ground
@@ -36,7 +37,10 @@ from autopilot_bridge.vehicle import Mode, SilentError, Vehicle, VehicleError
 ARRIVED_M, ARRIVED_MPS = 0.3, 0.2
 SETTLE_S = 20.0
 """Vehicle time that the vehicle may need to arrive once its reference has."""
-COME_DOWN_S = 900.0
+COME_DOWN_S = 600.0
+"""Vehicle time that coming down may take besides the return."""
+AGAIN_S = 10.0
+"""Vehicle time after which a landing that did not come about is asked for again."""
 PUT_BACK_S = 5.0
 """Vehicle time after the disarming in which the autopilot must say that it is on the ground."""
 DISARM_S = 10.0
@@ -111,6 +115,7 @@ class Flight:
         if not vehicle.telemetry.armable:
             self._loop.tell("preflight", f"waiting until it can be armed{self._unwell}")
         vehicle.await_armable()
+        preflight.clear_of_uploaded_fence(config, vehicle, self._loop.tell)
         if not vehicle.telemetry.armable:
             self._loop.tell("preflight", f"it cannot be armed{self._unwell}")
         self._check_energy()
@@ -179,17 +184,19 @@ class Flight:
         self._loop.flying = True
         try:
             self._loop.enter("takeoff")
-            self._loop.expected = {self._vehicle.telemetry.mode, Mode.TAKEOFF, Mode.HOLD}
+            self._loop.expected = {self._vehicle.dialect.ready, Mode.TAKEOFF}
             self._vehicle.takeoff(self._config.takeoff_altitude_m)
         except Yielded:
             self._await_resume()
         while True:
             try:
-                self._take_control()
+                self._take_control(self._vehicle.telemetry.mode)
                 slots = self._helm.slots or self._first_slots()
                 self._helm.follow_slots(slots)
                 self._loop.enter("slots")
                 while not slots.closed:
+                    if self._rested() and not slots.closed:
+                        self._helm.follow_slots(slots)
                     self._loop.step()
                 self._vehicle.hear_mode()  # who took over in the last moment keeps it
                 return
@@ -200,19 +207,42 @@ class Flight:
         self._transit()
         return Slots(self._config, self._helm.bounds.limits, self._clock.now, np.array(self._config.start_position_enu))
 
-    def _take_control(self) -> None:
-        """Stream a hold at this place, and have OFFBOARD."""
+    def _take_control(self, present: Mode) -> None:
+        """Stream a hold at this place, and change from the mode `present` to OFFBOARD."""
         position, velocity = self._helm.here()
         if self._helm.slots is not None:
             self._helm.slots.restart(self._clock.now, position, velocity)
         self._helm.follow(brake(position, velocity, self._helm.bounds.limits.agility))
-        self._loop.expected = {self._vehicle.telemetry.mode, Mode.OFFBOARD}
+        self._loop.expected = {present, Mode.OFFBOARD}
         until = self._clock.now + self._vehicle.dialect.stream_before_offboard_s
         while self._clock.now < until:
             self._loop.step()
         self._vehicle.hear_mode()
         self._vehicle.set_mode(Mode.OFFBOARD)
         self._loop.expected = {Mode.OFFBOARD}
+
+    def _rested(self) -> bool:
+        """Whether the ladder has asked for the autopilot's own hold mode; by now there is something to fly again.
+
+        Unless that was for the rest of the slots: then it still holds.
+        """
+        loop = self._loop
+        if not loop.on(Rung.HOLD_MODE):
+            return False
+        self._vehicle.hear_mode()
+        self._helm.let_go()
+        loop.resting = True
+        loop.expected = loop.expected | {Mode.HOLD}
+        self._vehicle.set_mode(Mode.HOLD)
+        loop.expected = {Mode.HOLD}
+        loop.enter("holding")
+        while loop.on(Rung.HOLD_MODE):
+            loop.step()
+            if self._helm.slots is not None and self._helm.slots.closed:
+                return True
+        loop.resting = False
+        self._take_control(Mode.HOLD)
+        return True
 
     def _transit(self) -> None:
         """To the start position, over any holds."""
@@ -221,7 +251,7 @@ class Flight:
             self._loop.enter("transit")
             way, left_s = Transit(self._helm.here()[0], goal, self._helm.bounds.limits), self._clock.now
             self._helm.follow(way, "transit")
-            while not self._loop.held:
+            while not self._loop.held and not self._rested():
                 position, velocity = self._helm.here()
                 late_s = self._clock.now - left_s - way.duration_s
                 if (
@@ -233,9 +263,14 @@ class Flight:
                 if late_s > SETTLE_S:
                     raise VehicleError(f"start position {vec3(goal)} not reached: still at {rounded(position)}")
                 self._loop.step()
+            self._hold()
+
+    def _hold(self) -> None:
+        """As long as a command wants it."""
+        while self._loop.held:
             self._loop.enter("holding")
             self._helm.follow(brake(*self._helm.here(), self._helm.bounds.limits.agility))
-            while self._loop.held:
+            while self._loop.held and not self._rested():
                 self._loop.step()
 
     def _await_resume(self) -> None:
@@ -247,70 +282,116 @@ class Flight:
             self._loop.step()
 
     def _await_link(self, error: SilentError) -> End:
-        """The link is dead, the vehicle is its failsafe's. Raises SilentError when the link stays dead."""
+        """The link is dead, the vehicle is its failsafe's. Raises SilentError when the link stays dead.
+
+        Once it is back the vehicle's mode is obeyed. If that is still the one we gave it, no failsafe has acted, and
+        perhaps none will (ArduCopter's does not know a lost stream): then it is ours to bring down.
+        """
+        loop, vehicle = self._loop, self._vehicle
+        ours = set(loop.expected)
         self._release()
-        self._loop.expected = set()
-        self._loop.enter("yielded")
-        self._loop.tell("failsafe", f"{error}: no setpoints, the autopilot's own failsafe acts")
-        heard, patience = self._vehicle.heard, time.monotonic() + LINK_BACK_WALL_S
-        while self._vehicle.heard == heard:
+        loop.expected = set()
+        loop.enter("yielded")
+        loop.tell("failsafe", f"{error}: no setpoints, the autopilot's own failsafe acts")
+        heard, patience = vehicle.heard, time.monotonic() + LINK_BACK_WALL_S
+        while vehicle.heard == heard:
             if time.monotonic() > patience:
                 raise error
+            self._listen()
+        vehicle.doubt_mode()
+        patience = time.monotonic() + SILENCE_WALL_S
+        while not vehicle.mode_known() and time.monotonic() < patience:
+            self._listen()
+        loop.silence.excuse(time.monotonic())
+        mode = vehicle.telemetry.mode
+        if mode not in ours:
+            return End(None, FAILSAFE, "the link was lost")
+        return End(mode if mode is Mode.LAND else Mode.RETURN, FAILSAFE, "the link was lost")
+
+    def _listen(self) -> None:
+        with contextlib.suppress(SilentError):  # an autopilot that starts anew has come back, too
             self._clock.step(self._vehicle)
-        self._loop.silence.excuse(time.monotonic())
-        return End(None, FAILSAFE, "the link was lost")
 
     def _come_down(self, ending: End) -> int:
         """Return or land, and wait for the ground.
 
-        Pilots are obeyed here too: nothing is asked for twice, and what others land is for them to disarm. What the
-        autopilot refuses is left to its failsafe, since no setpoints come any more.
+        Pilots are obeyed here too: once one has chosen a mode nothing is asked for any more, and what others land is
+        for them to disarm. What the autopilot refuses is left to its failsafe, since no setpoints come, and asked for
+        again after a while: a landing is final.
         """
         self._release()
-        vehicle, code, mode = self._vehicle, ending.code, ending.mode
-        ours = mode is not None
-        if not ours:
-            self._loop.expected = set()
-        until, landed_s = self._clock.now + COME_DOWN_S, self._clock.now
+        loop, vehicle, code = self._loop, self._vehicle, ending.code
+        end: End | None = ending
+        began_s = landed_s = asked_s = self._clock.now
         while not self.down:
             try:
-                if mode is not None:
-                    wanted, mode, ours = mode, None, True
+                if end is not None:
+                    wanted, end, asked_s = end, None, self._clock.now
                     self._bring_down(wanted)
-                elif ours and self._clock.now - landed_s > DISARM_S:
+                elif self._landing_is_due and self._clock.now - asked_s > AGAIN_S:
+                    asked_s, code = self._clock.now, max(code, FAILSAFE)
+                    self._land()
+                elif loop.expected and self._clock.now - landed_s > DISARM_S:
                     vehicle.disarm()
-                self._loop.step()
-            except End as end:
-                mode, code = end.mode, max(code, end.code)
+                loop.step()
+            except End as another:
+                end, code = another, max(code, another.code)
             except Yielded:
-                ours, code = False, max(code, FAILSAFE)
-                self._loop.enter("yielded")
+                code = max(code, FAILSAFE)
+                loop.enter("yielded")
             except SilentError as error:
-                ours, mode, code = False, None, max(code, self._await_link(error).code)
+                end = self._await_link(error)
+                code = max(code, end.code)
             except VehicleError as error:
                 landed_s, code = self._clock.now, max(code, FAILSAFE)
-                self._loop.tell("error", f"{error}: left to the autopilot's own failsafe")
+                loop.tell("error", f"{error}: left to the autopilot's own failsafe")
             if not vehicle.telemetry.landed:
                 landed_s = self._clock.now
-            if self._clock.now > until:
-                raise VehicleError(f"not on the ground {COME_DOWN_S:g} s after it was told to come down")
+            if self._clock.now - began_s > self._config.return_s + COME_DOWN_S:
+                raise VehicleError(
+                    f"not on the ground {self._clock.now - began_s:.0f} s after it was told to come down"
+                )
         return code
 
-    def _bring_down(self, mode: Mode) -> None:
-        self._vehicle.hear_mode()
-        self._loop.expected = self._loop.expected | {self._vehicle.telemetry.mode, Mode.RETURN, Mode.LAND}
-        self._loop.enter("returning" if mode is Mode.RETURN else "landing")
+    def _bring_down(self, end: End) -> None:
+        """Raises VehicleError when it can do neither."""
+        loop, vehicle = self._loop, self._vehicle
+        if end.mode is None:
+            loop.expected = set()
+            return
+        if end.mode is Mode.LAND:
+            loop.deadman.land(str(end))
+        else:
+            loop.deadman.sent_home(self._clock.moment, str(end))
+        vehicle.hear_mode()
+        loop.expected = (loop.expected or {vehicle.telemetry.mode}) | {Mode.RETURN, Mode.LAND}
+        if end.mode is Mode.LAND:
+            self._land()
+            return
+        loop.enter("returning")
         try:
-            self._vehicle.set_mode(mode)
+            vehicle.set_mode(Mode.RETURN)
         except SilentError:
             raise
         except VehicleError as error:
-            self._loop.tell("error", f"{error}; landing instead")
-            self._loop.enter("landing")
-            self._vehicle.set_mode(Mode.LAND)
-        self._loop.expected = {Mode.RETURN, Mode.LAND}
+            loop.tell("error", f"{error}; landing instead")
+            loop.deadman.land("it cannot return")
+            self._land()
+        else:
+            loop.expected = {Mode.RETURN, Mode.LAND}
+
+    @property
+    def _landing_is_due(self) -> bool:
+        """By the ladder, and it is not landing."""
+        ours = bool(self._loop.expected)
+        return ours and self._loop.on(Rung.LAND) and self._vehicle.telemetry.mode is not Mode.LAND
+
+    def _land(self) -> None:
+        self._loop.enter("landing")
+        self._vehicle.set_mode(Mode.LAND)
+        self._loop.expected = {Mode.LAND}
 
     def _release(self) -> None:
         """No setpoints, no slots."""
         self._helm.let_go()
-        self._helm.slots, self._loop.flying = None, False
+        self._helm.slots, self._loop.flying, self._loop.resting = None, False, False

@@ -25,7 +25,11 @@ TELLING = ("fence", "altitude", "home distance", "energy", "separation", "not fi
 
 
 class Helm:
-    """Steers one vehicle. `others()` tells where the vehicles are that this one must keep apart from."""
+    """Steers one vehicle.
+
+    `others()` tells where the vehicles are that this one must keep apart from; `may_send()` whether a setpoint may go
+    out at this very instant.
+    """
 
     def __init__(
         self,
@@ -34,8 +38,14 @@ class Helm:
         vehicle: Vehicle,
         ground: Ground,
         others: Callable[[], Sequence[Track]],
+        may_send: Callable[[], bool],
     ) -> None:
         self._config, self._clock, self._vehicle, self._ground, self._others = config, clock, vehicle, ground, others
+        self._may_send = may_send
+        self._sent = False
+        """Whether the last setpoint went out."""
+        self._place: tuple[Vector, Vector] | None = None
+        """The last that was told."""
         self._guide: Callable[[float], Reference] | None = None
         """Vehicle time -> what to track; None: no setpoints at all."""
         self._source = "hold"
@@ -75,8 +85,11 @@ class Helm:
         self._guide = None
 
     def here(self) -> tuple[Vector, Vector]:
-        """Position and velocity now. Raises VehicleError when there is none."""
-        return self._vehicle.telemetry.at(self._clock.now)
+        """Position and velocity now, or the last that were told. Raises VehicleError when there were none."""
+        telemetry = self._vehicle.telemetry
+        if telemetry.position_enu is not None or self._place is None:
+            self._place = telemetry.at(self._clock.now)
+        return self._place
 
     @property
     def fence(self) -> Fence:
@@ -94,7 +107,7 @@ class Helm:
 
     def steer(self) -> None:
         """One setpoint, if any is to be sent."""
-        if self._guide is None:
+        if self._guide is None or not self._may_send():
             return
         position, velocity = self.here()
         reference = self._guide(self._clock.now)
@@ -105,6 +118,8 @@ class Helm:
         endurance = self._config.endurance
         energy_j = None if endurance is None else self.left_j(endurance)
         sent = self._envelope.send(wanted, self._heading(position), position, velocity, self._others(), energy_j)
+        if not self._sent:
+            return
         self.counters["setpoints"] += 1
         self._log(wanted, sent)
         for reason in sent.reasons:
@@ -123,7 +138,7 @@ class Helm:
                 source=order.source if order else self._source,
                 action_slot=order.slot if order else None,
                 action_age_s=max(0.0, now - order.taken_s) if order else None,
-                state_age_s=max(0.0, now - self._vehicle.telemetry.time_s),
+                state_age_s=max(0.0, now - self._vehicle.telemetry.position_s),
                 wanted_enu=vec3(wanted) if np.isfinite(wanted).all() else None,
                 velocity_enu=vec3(sent.velocity),
                 yaw_rad=self._yaw,
@@ -141,12 +156,18 @@ class Helm:
                 lowered(fence, self._bounds.ceiling_m),
                 self._vehicle.dialect.reaction_s,
                 self._config.tick_ms / 1000,
-                self._vehicle.send_velocity,
+                self._transmit,
                 self._bounds.home_distance_m,
                 self._config.endurance,
                 self._config.separation_m,
             )
         return self._envelopes[in_slots]
+
+    def _transmit(self, velocity: Vector, yaw: float) -> None:
+        """Asks once more: whatever came before may have taken long."""
+        self._sent = self._may_send()
+        if self._sent:
+            self._vehicle.send_velocity(velocity, yaw)
 
     def _heading(self, position: Vector) -> float:
         """Yaw to fly [rad, ENU]."""

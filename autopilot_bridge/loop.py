@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from airframe.slot_profile import Vector
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig
-from autopilot_bridge.deadman import SILENCE_WALL_S, Rung, Silence
+from autopilot_bridge.deadman import SILENCE_WALL_S, Attention, Moment, Rung, Silence
 from autopilot_bridge.endings import ERROR, FAILSAFE, End, Yielded
 from autopilot_bridge.fence import outside_m
 from autopilot_bridge.ground import Ground
@@ -23,6 +23,8 @@ BREACH_M = 1.0
 """This far outside the fence the vehicle is sent home."""
 PEERS = ("agent", "rf")
 """Nodes without which no action comes."""
+LISTENED_S = 0.02
+"""Having listened so short a time ago, we need not listen again before we send."""
 EARLY_S = 0.02
 """A state may be told this much before its time is due: telemetry does not come to the millisecond."""
 
@@ -40,27 +42,39 @@ class Loop:
     ) -> None:
         self._config, self._ground, self._clock = config, ground, clock
         self.vehicle = make_vehicle(self.step)
-        self.helm = Helm(config, clock, self.vehicle, ground, others)
+        self.helm = Helm(config, clock, self.vehicle, ground, others, self._may_send)
+        self.deadman = config.deadman
+        self._rung = Rung.FLY
+        """As last judged."""
         self.phase = "connecting"
         self.started = config.autostart
         self.held = False
         """No actions are flown: by command, or because somebody else flies."""
         self.expected: set[Mode] = set()
-        """Modes that are our doing; empty: any."""
+        """Modes that are our doing; empty: the vehicle is not ours, any will do."""
+        self.resting = False
+        """In the autopilot's own hold mode, by our own choice."""
         self.flying = False
         """Armed by us and not yet told to come down."""
         self.silence = Silence(time.monotonic())
+        self._attention = Attention(clock.moment)
+        self._doubted_at = 0.0
+        """Wall clock."""
         self._alive: dict[str, bool] = {}
         self._malformed = 0
         self._counters: Counter[str] = Counter()
         self._steps = 0
-        self._state_told_s = self._position_told_s = 0.0
+        self._position_s = self._position_told_s = self._state_told_s = 0.0
         ground.objection = self._objection
 
     @property
     def down(self) -> bool:
         """Whether the vehicle is on the ground and disarmed, as far as we know."""
         return not self.vehicle.telemetry.armed
+
+    def on(self, rung: Rung) -> bool:
+        """Whether this is the ladder's rung."""
+        return self._rung is rung
 
     def enter(self, phase: str) -> None:
         if phase != self.phase:
@@ -71,15 +85,26 @@ class Loop:
         self._ground.tell(kind, text)
 
     def step(self) -> None:
-        """Raises End, Yielded, and what the vehicle raises."""
+        """Raises End, Yielded, and what the vehicle raises.
+
+        After a stall it returns only once the vehicle's mode is known anew, so that nothing is asked of it before.
+        """
+        self._pass()
+        while self.expected and not self.vehicle.mode_known():
+            if time.monotonic() - self._doubted_at > SILENCE_WALL_S:
+                raise SilentError(f"autopilot at {self._config.autopilot}: no answer for {SILENCE_WALL_S:g} s")
+            self._pass()
+
+    def _pass(self) -> None:
         self._hear()
         self._judge()
         if self.helm.slots is not None:
             self._keep_slots(self.helm.slots)
-        self.helm.steer()
+        self._steer()
         self._report()
         self._clock.step(self.vehicle, self._meanwhile)
         self._steps += 1
+        self._attend()
 
     def idle(self) -> None:
         """Hear the bus while vehicle time stands still. Raises End."""
@@ -122,26 +147,74 @@ class Loop:
                     raise End(Mode.LAND, FAILSAFE, "land was commanded")
 
     def _judge(self) -> None:
-        """Silence, the ground, other hands, the fence, the battery, the ladder. Raises SilentError, End, Yielded."""
-        vehicle, helm = self.vehicle, self.helm
-        if self.silence.over(vehicle.heard, time.monotonic()) and self.phase != "connecting":
-            raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for {SILENCE_WALL_S:g} s")
-        telemetry = vehicle.telemetry
-        if self.flying and not telemetry.armed:
-            raise End(None, FAILSAFE, f"the vehicle disarmed in mode {telemetry.mode_name}")
-        if self.expected and telemetry.mode not in self.expected:
-            self.expected = set()
-            helm.let_go()
-            self.tell("mode", f"{telemetry.mode_name} was chosen by autopilot or pilot: obeyed")
-            raise Yielded
-        if not helm.steering:
+        """The ladder, the fence, the battery, while the vehicle is ours. Raises End."""
+        if not self.expected:
+            return
+        rung, helm = self.deadman.rung(self._clock.moment), self.helm
+        if rung is not self._rung:
+            self.tell("ladder", f"{self._rung.name} -> {rung.name}: {self.deadman.why}")
+            self._rung = rung
+        if rung is Rung.RETURN and not self.deadman.coming_down:
+            raise End(Mode.RETURN, FAILSAFE, self.deadman.why)
+        if not (helm.steering or self.resting):
             return
         position, velocity = helm.here()
         if outside_m(helm.fence, position) > BREACH_M:
             raise End(Mode.RETURN, FAILSAFE, f"outside the fence at {rounded(position)}")
         self._judge_energy(position, velocity)
-        if helm.slots is not None and helm.slots.deadman.rung(self._clock.now) is Rung.RETURN:
-            raise End(Mode.RETURN, FAILSAFE, f"no good action for {self._config.grace_s:g} s")
+
+    def _attend(self) -> None:
+        """What the step has brought: is it news, is there anybody, is the vehicle still ours? Raises SilentError."""
+        now, wall = self._clock.moment, time.monotonic()
+        if self.expected and self._attention.stalled(now):
+            asleep_s = now.since(self._attention.listened)
+            self.tell("stall", f"{asleep_s:.1f} s without listening: nothing is sent before the mode is known anew")
+            self._counters["stalls"] += 1
+            self._doubted_at = wall
+            self.vehicle.doubt_mode()
+            self.silence.excuse(wall)
+        self._attention.listened = now
+        telemetry = self.vehicle.telemetry
+        if telemetry.position_enu is not None and telemetry.position_s != self._position_s:
+            self._position_s = telemetry.position_s
+            self.deadman.placed(Moment(telemetry.position_s, now.wall_s))
+        if self.silence.over(self.vehicle.heard, wall) and self.phase != "connecting":
+            raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for {SILENCE_WALL_S:g} s")
+        self._judge_hands()
+
+    def _judge_hands(self) -> None:
+        """Who flies? Raises End, Yielded."""
+        telemetry = self.vehicle.telemetry
+        if self.flying and not telemetry.armed:
+            raise End(None, FAILSAFE, f"the vehicle disarmed in mode {telemetry.mode_name}")
+        if self._taken:
+            self.expected, self.resting = set(), False
+            self.helm.let_go()
+            self.tell("mode", f"{telemetry.mode_name} was chosen by autopilot or pilot: obeyed")
+            raise Yielded
+
+    @property
+    def _taken(self) -> bool:
+        """Whether the vehicle was ours, and a HEARTBEAT has told that it no longer is."""
+        telemetry = self.vehicle.telemetry
+        return bool(self.expected) and telemetry.armed and telemetry.mode not in self.expected
+
+    def _may_send(self) -> bool:
+        """Whether a setpoint may go out now: the vehicle is ours for all that we know, and we know it from just now."""
+        now = self._clock.moment
+        return not (
+            self._taken
+            or not self.vehicle.telemetry.armed
+            or not self.vehicle.mode_known()
+            or self._attention.stalled(now)
+            or self.deadman.stale(now)
+        )
+
+    def _steer(self) -> None:
+        """Listens once more when what came before has taken long."""
+        if self.helm.steering and self._clock.moment.since(self._attention.listened) > LISTENED_S:
+            self.vehicle.poll(0.0)
+        self.helm.steer()
 
     def _judge_energy(self, position: Vector, velocity: Vector) -> None:
         """Raises End."""
@@ -162,12 +235,14 @@ class Loop:
             opened = slots.open(position, velocity, self.vehicle.telemetry.attitude_rad)
             self._malformed = self._ground.malformed_actions
             self._ground.slot.send(opened)
+            if not slots.closed:
+                self.deadman.opened(self._clock.moment._replace(vehicle_s=opened.time_s))
             if opened.flown is not None:
                 self._account(opened.flown)
             if self._clock.frozen_between_steps and not slots.closed:
                 self._await_action(slots)
         self._take_actions(slots)
-        if slots.awaiting and slots.deadman.rung(self._clock.now) is Rung.HOLD:
+        if slots.awaiting and self.deadman.late(self._clock.moment):
             slots.hold(self._clock.now, "missing", "no action by the deadline")
         slots.sample(self._clock.now, position, velocity)
 
@@ -196,10 +271,18 @@ class Loop:
     def _take(self, slots: Slots, action: m.Action) -> None:
         if action.slot != slots.number:
             self._counters["actions_for_other_slots"] += 1
-        elif not self.helm.steering:
-            slots.act(action, self._clock.now, f"control yielded to {self.vehicle.telemetry.mode_name}")
-        else:
-            slots.act(action, self._clock.now, "held by command" if self.held else None)
+        elif slots.act(action, self._clock.now, self._idle_because()):
+            self.deadman.acted(self._clock.moment)
+
+    def _idle_because(self) -> str | None:
+        """Why a good action is not flown; None: it is."""
+        if self.resting:
+            return f"the autopilot holds in {self.vehicle.telemetry.mode_name}"
+        if not self.helm.steering:
+            return f"control yielded to {self.vehicle.telemetry.mode_name}"
+        if self.deadman.stale(self._clock.moment):
+            return "no position"
+        return "held by command" if self.held else None
 
     def _meanwhile(self) -> None:
         """Between two steps, when something has come: neither an action nor a new state waits for the next step."""
@@ -208,7 +291,7 @@ class Loop:
             self._take_actions(slots)
             if slots.acting:
                 self.helm.steer()
-        if self._clock.now - self._state_told_s >= SAMPLE_S - EARLY_S and self._fresh():
+        if self._clock.now - self._state_told_s >= SAMPLE_S - EARLY_S and self._moved:
             self._publish_state()
 
     # Telling.
@@ -224,6 +307,8 @@ class Loop:
             self._publish_state()
         for text in self.vehicle.status_texts():
             self.tell("statustext", text)
+        for text in self.vehicle.remarks():
+            self.tell("vehicle", text)
         slots = self.helm.slots
         if slots is not None and self.helm.steering and slots.decided:
             self.enter("slots" if slots.acting else "holding")
@@ -235,15 +320,16 @@ class Loop:
         if told:
             self.tell("slot", f"slot {flown.slot} {flown.outcome}: {', '.join(told)}")
 
-    def _fresh(self) -> bool:
+    @property
+    def _moved(self) -> bool:
         """Whether the position is newer than the last one told."""
-        return self.vehicle.telemetry.time_s > self._position_told_s
+        return self.vehicle.telemetry.position_s > self._position_told_s
 
     def _publish_state(self) -> None:
         telemetry = self.vehicle.telemetry
         if telemetry.position_enu is None:
             return
-        self._state_told_s, self._position_told_s = self._clock.now, telemetry.time_s
+        self._state_told_s, self._position_told_s = self._clock.now, telemetry.position_s
         position, velocity = self.helm.here()
         self._ground.state.send(
             m.VehicleState(

@@ -10,7 +10,6 @@ import numpy as np
 
 from airframe.slot_profile import Reference, Vector, brake
 from autopilot_bridge.config import BridgeConfig, Limits
-from autopilot_bridge.deadman import Deadman
 from autopilot_bridge.plan import plan_slot
 from bus.messages import Action, FlownSlot, SlotOpened, SlotOutcome, TrackSample, Vec3
 
@@ -41,7 +40,6 @@ class Slots:
         """What became of the open slot's action; None while it is awaited."""
         self.order: Order | None = None
         """The action whose profile is flown, up to the next one's coming; None in a hold."""
-        self.deadman = Deadman(config.deadline_s, config.grace_s, start_s)
         self._config, self._limits, self._start_s = config, limits, start_s
         self._profile, self._since_s = brake(position, np.zeros(3), limits.agility), start_s
         self._opening: Reference = self._profile.at(0.0)
@@ -88,7 +86,6 @@ class Slots:
         self._opening, self._opened_at = self.reference(closing_s), position
         self.outcome, self._reasons, self._commanded = None, [], np.zeros(3)
         self._track, self._plan = [], []
-        self.deadman.opened(closing_s)
         return SlotOpened(
             slot=self.number,
             slots=self._config.slots,
@@ -100,27 +97,26 @@ class Slots:
             flown=flown,
         )
 
-    def act(self, action: Action, time_s: float, held_because: str | None = None) -> None:
-        """Take the agent's decision at vehicle time `time_s`.
+    def act(self, action: Action, time_s: float, held_because: str | None = None) -> bool:
+        """Take the agent's decision at vehicle time `time_s`; whether it is a good one that came in time.
 
         One that is not for the open slot, or a second one, changes nothing; one that comes after the hold began is
         `late`. `held_because`: it is good, but is not to be flown, for this reason.
         """
         if action.slot != self.number or self.closed:
-            return
+            return False
         if self.outcome == "missing":
             self.outcome = "late"
         if not self.awaiting:
-            return
+            return False
         wanted = np.array(action.displacement_enu)
         length, longest = float(np.linalg.norm(wanted)), self._config.v_max_mps * self._config.slot_s
         if length > longest * (1 + LENGTH_TOLERANCE):
             self.hold(time_s, "rejected", f"displacement: {length:.3f} m, at most {longest:g} m is allowed")
-            return
-        self.deadman.acted(time_s)
+            return False
         if held_because is not None:
             self.hold(time_s, "rejected", held_because)
-            return
+            return True
         planned = plan_slot(
             self._opening.position,
             self._opening.velocity,
@@ -135,6 +131,7 @@ class Slots:
         self._commanded, self._reasons = wanted, list(planned.reasons)
         self.order = Order(action.source, action.slot, time_s)
         self.outcome = "flown" if set(planned.reasons) <= {REACH} else "clipped"
+        return True
 
     def hold(self, time_s: float, outcome: SlotOutcome, reason: str) -> None:
         """Begin the planned hold at `time_s`: the open slot has no action to fly."""

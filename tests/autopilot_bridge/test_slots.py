@@ -127,11 +127,20 @@ def test_actions_for_other_slots_and_second_ones_change_nothing(slots, make_acti
 
 
 def test_a_held_action_is_rejected_but_a_sign_of_life(slots, make_action):
-    slots.act(make_action(0, (1.0, 0.0, 0.0)), T0 + 0.1, held_because="held by command")
+    assert slots.act(make_action(0, (1.0, 0.0, 0.0)), T0 + 0.1, held_because="held by command")
     flown = run_slot(slots).flown
     assert (flown.outcome, flown.reasons) == ("rejected", ["held by command"])
-    assert slots.deadman.rung(T0 + 15.05).name == "HOLD"
-    assert slots.deadman.rung(T0 + 15.15).name == "RETURN"
+
+
+def test_only_the_first_good_action_for_the_open_slot_is_a_sign_of_life(slots, make_action):
+    assert not slots.act(make_action(1, (1.0, 0.0, 0.0)), T0)
+    assert slots.act(make_action(0, (1.0, 0.0, 0.0)), T0)
+    assert not slots.act(make_action(0, (1.0, 0.0, 0.0)), T0)
+    run_slot(slots)
+    assert not slots.act(make_action(1, (11.0, 0.0, 0.0)), T0 + 1)
+    run_slot(slots)
+    slots.hold(T0 + 2.25, "missing", "no action by the deadline")
+    assert not slots.act(make_action(2, (1.0, 0.0, 0.0)), T0 + 2.5)
 
 
 def test_what_the_envelope_changed_is_told(slots, make_action):
