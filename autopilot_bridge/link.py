@@ -154,7 +154,7 @@ class Link:
             self._note(frame)
             refusal = self.signing.refusal(frame) if self.signing is not None else ""
             if refusal:
-                self.counters[refusal] += 1
+                self.counters[refusal if self.roll_call.is_vehicle(*header(frame)[:2]) else "foreign"] += 1
                 continue
             yield from self._hear(frame, sender)
         if understood < len(datagram):

@@ -178,8 +178,12 @@ class MavlinkVehicle(Vehicle):
     def arm(self) -> None:
         self._arm()
         homes = self._homes  # arming sets home anew
-        self._request_home()
-        self._until(lambda: self._homes > homes, 2.0)
+        for _ in range(TRIES):
+            self._request_home()
+            if self._until(lambda: self._homes > homes, RETRY_S):
+                break
+        else:
+            self._remarks.append("home at arming was not told: positions are about the one before")
         self._home_held = True
 
     def takeoff(self, altitude_m: float) -> None:

@@ -146,6 +146,7 @@ class MavsdkVehicle(MavlinkVehicle):
 
     def close(self) -> None:
         self._calls.shutdown(wait=True, cancel_futures=True)  # none may be inside MAVSDK when it goes
+        self._link.listener = None
         self._client.destroy()
         super().close()
 

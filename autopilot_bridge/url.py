@@ -47,7 +47,7 @@ def parse_url(url: str) -> Address:
         host, port = parts.hostname, parts.port
     except ValueError as error:
         raise ValueError(f"{url!r}: {error}") from None
-    if parts.path or parts.query or parts.username or not host or port is None:
+    if parts.path or parts.query or parts.fragment or parts.username or not host or port is None:
         raise ValueError(f"{url!r}: must be {ALLOWED}, {EXAMPLE}")
     if port == 0 and scheme != "udpin":
         raise ValueError(f"{url!r}: port 0 can only be listened on (udpin)")

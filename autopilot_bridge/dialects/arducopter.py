@@ -98,6 +98,7 @@ ARDUCOPTER = Dialect(
             Need("BATT_FS_LOW_ACT", among=(1, 2, 3, 4, 6)),
             Need("BATT_MONITOR", above=0),
             Need("BATT_LOW_VOLT", above=0, instead="BATT_LOW_MAH"),
+            Need("BATT_LOW_TIMER", above=0, instead="BATT_LOW_MAH"),  # 0: the voltage is not watched
         ),
         "gcs_loss": (Need("FS_GCS_ENABLE", among=(1, 2, 3, 4, 5, 6)),),
         "geofence": (

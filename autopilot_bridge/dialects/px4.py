@@ -52,6 +52,7 @@ PX4 = Dialect(
         mavlink.MAVLINK_MSG_ID_ATTITUDE: 20.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0,  # not every link streams it by itself
         mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 1.0,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 1.0,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,

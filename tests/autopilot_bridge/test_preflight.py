@@ -221,6 +221,11 @@ PACED = {"clock": {"kind": "paced", "speed": 10.0}}
             {"allow_without": [], "parameters": {"BATT_FS_LOW_ACT": 2, "BATT_LOW_VOLT": 0}},
             "battery_failsafe is off: BATT_LOW_VOLT is 0 and BATT_LOW_MAH is 0, one must be more than 0",
         ),
+        (
+            COPTER,
+            {"allow_without": [], "parameters": {"BATT_FS_LOW_ACT": 2, "BATT_LOW_TIMER": 0}},
+            "battery_failsafe is off: BATT_LOW_TIMER is 0 and BATT_LOW_MAH is 0, one must be more than 0",
+        ),
         (COPTER, {"require": ["geofence"]}, "geofence is off: FENCE_ENABLE is 0, must be 1"),
         (
             COPTER,

@@ -153,3 +153,46 @@ def test_a_parameter_that_somebody_else_has_set_unheard_is_read_anew(connect, au
         vehicle._wait()
     deaf[0] = False
     assert vehicle.parameter("MPC_XY_VEL_MAX") == 9
+
+
+def test_a_home_that_a_ground_station_moves_in_flight_is_told_and_positions_stay(connect, autopilot):
+    vehicle = connect()
+    vehicle.await_armable()
+    vehicle.arm()
+    vehicle.takeoff(5.0)
+    before = vehicle.telemetry.position_enu
+    assert vehicle.remarks() == []
+    autopilot.pilot(mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0, 0, 47.398643, 8.545594, 489.4)  # 100 m north
+    for _ in range(30):
+        vehicle._wait()
+    assert vehicle.telemetry.position_enu == pytest.approx(before, abs=1.0)
+    (remark,) = vehicle.remarks()
+    assert "home was moved to (0." in remark or "home was moved to (-0." in remark
+    assert ", 100.1, " in remark or ", 100.0, " in remark
+
+
+@pytest.mark.parametrize("deaf_to", [3, 1000])
+def test_home_is_asked_for_at_arming_until_it_is_told(connect, deaf_to):
+    asked, deaf = [], [False]
+
+    def count(frame):
+        if message_id(frame) == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+            (command,) = mavlink.MAVLink(None).parse_buffer(frame)
+            asked.extend([command.param1] if command.command == mavlink.MAV_CMD_REQUEST_MESSAGE else [])
+        return (frame,)
+
+    def lose(frame):
+        home = message_id(frame) == mavlink.MAVLINK_MSG_ID_HOME_POSITION
+        return () if home and deaf[0] and len(asked) < deaf_to else (frame,)
+
+    vehicle = connect(tamper_out=count, tamper_in=lose)
+    vehicle.await_armable()
+    asked.clear()
+    deaf[0] = True
+    vehicle.arm()
+    vehicle._wait()
+    if deaf_to == 3:
+        assert asked == [mavlink.MAVLINK_MSG_ID_HOME_POSITION] * 3
+        assert vehicle.remarks() == []
+    else:
+        assert vehicle.remarks() == ["home at arming was not told: positions are about the one before"]

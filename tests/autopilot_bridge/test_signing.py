@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import socket
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -121,6 +122,16 @@ def test_a_wrong_key_is_told(connect):
 def test_a_key_that_is_missing_is_told(connect):
     with pytest.raises(VehicleError, match=r"signs its frames .*: give its key as signing_key"):
         connect(None)
+
+
+def test_what_others_do_not_sign_is_not_the_autopilots_fault():
+    link = Link("udpin://127.0.0.1:0", 1, signing=Signing(KEY))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+        beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+        ground.sendto(beat.pack(mavlink.MAVLink(None, 255, 190)), ("127.0.0.1", link.port))
+        assert link.receive(5.0) == []
+    assert (link.counters["unsigned"], link.counters["foreign"]) == (0, 1)
+    link.close()
 
 
 def test_an_autopilot_that_does_not_sign_is_not_believed(connect):

@@ -2,6 +2,7 @@
 
 import os
 import pty
+import re
 import socket
 import time
 import tty
@@ -59,6 +60,34 @@ def test_a_run_of_noise_counts_once():
 )
 def test_urls(url, meant):
     assert parse_url(url) == meant
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "14540",
+        "127.0.0.1:14540",
+        "udp://127.0.0.1:14540",
+        "UDPIN://127.0.0.1:14540",
+        "http://127.0.0.1:80",
+        "udpin://127.0.0.1",
+        "udpin://:14540",
+        "udpin://127.0.0.1:65536",
+        "udpin://127.0.0.1:port",
+        "udpout://127.0.0.1:0",
+        "udpin://me@127.0.0.1:14540",
+        "udpin://127.0.0.1:14540/path",
+        "udpin://127.0.0.1:14540?a=1",
+        "udpin://127.0.0.1:14540#a",
+        "serial:///dev/ttyACM0",
+        "serial:///dev/ttyACM0:0",
+        "serial:///dev/ttyACM0:fast",
+    ],
+)
+def test_what_is_no_url_is_told(url):
+    with pytest.raises(ValueError, match=rf"^{re.escape(repr(url))}: "):
+        parse_url(url)
 
 
 def test_udpout_speaks_first():
