@@ -96,8 +96,10 @@ class Neighbours:
         home: Callable[[], Vec3 | None],
         tell: Callable[[str, str], None],
         all_known: Callable[[], None] = lambda: None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Raises ValueError for a bad name."""
+        """`clock` is the wall clock [s]. Raises ValueError for a bad name."""
+        self._clock = clock
         self._home, self._tell, self._all_known = home, tell, all_known
         self._refused: Counter[str] = Counter()
         self._others = {name: _Neighbour(limits, speed) for name in names}
@@ -115,7 +117,7 @@ class Neighbours:
 
     def tracks(self) -> list[Track]:
         """Where they are now, about our home."""
-        home, wall = self._home(), time.monotonic()
+        home, wall = self._home(), self._clock()
         if home is None:
             return []
         found = []
@@ -132,7 +134,7 @@ class Neighbours:
 
     def _hears(self, name: str, other: "_Neighbour") -> Callable[[VehicleState], None]:
         def hear(state: VehicleState) -> None:
-            other.hear(state, time.monotonic())
+            other.hear(state, self._clock())
             if name in self._unknown and state.home_lat_lon_alt is not None:
                 self._unknown.discard(name)
                 if not self._unknown:

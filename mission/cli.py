@@ -235,9 +235,11 @@ def bridge(
     with _one_line_errors():
         from bus.session import open_session
         from mission.fleet import one_of
-        from mission.mission_file import bridge_config
+        from mission.mission_file import MissionError, bridge_config
 
         loaded, others = one_of(mission, vehicle)
+        if other and loaded.clock == "lockstep":
+            raise MissionError(f"{mission}: clock: 'lockstep' is for one vehicle; with --other it must be 'paced'")
         with open_session(zenoh_config, connect or (), listen) as session:
             from autopilot_bridge.node import run
 
