@@ -13,7 +13,7 @@ TELEMETRY_WALL_S = 0.5
 WENT_BACK_S = 1.0
 """Telemetry this much older than the newest is no late datagram: the autopilot has started anew."""
 UNHEARD_S = 0.1
-"""Vehicle time is carried on over this long [s of vehicle time] without telemetry, then it stands still."""
+"""Vehicle time is carried on over this long [s of vehicle time] without hearing anything, then it stands still."""
 
 
 class Clock(Protocol):
@@ -74,9 +74,11 @@ class Lockstep:
 class Paced:
     """The autopilot's own clock, read from its telemetry, `speed` times as fast as the wall clock.
 
-    A step ends when vehicle time reaches the next multiple of the step, so steps do not drift against it. When the
-    telemetry stops, vehicle time stops; steps then take a wall-clock step each, so that silence can be noticed. When it
-    goes back, a step raises SilentError, once: the vehicle that we knew is gone, and time goes on with the new one's.
+    A step ends when vehicle time reaches the next multiple of the step, so steps do not drift against it. While the
+    autopilot is heard but does not tell its time (PX4 sends no position without an estimate), the wall clock carries
+    vehicle time on. When it falls silent, vehicle time stops; steps then take a wall-clock step each, so that silence
+    can be noticed. When it goes back, a step raises SilentError, once: the vehicle that we knew is gone, and time goes
+    on with the new one's. Every step listens, also one that is over before it has begun.
     """
 
     frozen_between_steps = False
@@ -84,7 +86,8 @@ class Paced:
     def __init__(self, speed: float, step_ms: int) -> None:
         self._speed, self._step_ms = speed, step_ms
         self._telemetry_s = 0.0
-        self._heard_at = time.monotonic()
+        self._told_at = self._heard_at = time.monotonic()
+        self._heard = 0
         self._steps = 0
         self.now = 0.0
 
@@ -95,6 +98,8 @@ class Paced:
     def step(self, vehicle: Vehicle, meanwhile: Callable[[], None] = lambda: None) -> None:
         last_s, due_s = self._at(self._steps), self._at(self._steps + 1)
         give_up = time.monotonic() + max(2 * self._step_ms / 1000 / self._speed, UNHEARD_S / self._speed)
+        if due_s - self._estimate(vehicle) <= 1e-6:
+            vehicle.poll(0.0)
         while (left_s := due_s - self._estimate(vehicle)) > 1e-6:
             wall = time.monotonic()
             if wall >= give_up:
@@ -118,12 +123,16 @@ class Paced:
     def _estimate(self, vehicle: Vehicle) -> float:
         told_s = vehicle.telemetry.time_s
         if told_s < self._telemetry_s - WENT_BACK_S:
-            before_s, self._telemetry_s, self._heard_at = self._telemetry_s, told_s, time.monotonic()
+            before_s, self._telemetry_s, self._told_at = self._telemetry_s, told_s, time.monotonic()
             self._steps = int(told_s * 1000 / self._step_ms)
             self.now = self._at(self._steps)
             raise SilentError(
                 f"the autopilot's clock went back from {before_s:.1f} to {told_s:.1f} s: it has restarted"
             )
+        wall = time.monotonic()
         if told_s != self._telemetry_s:
-            self._telemetry_s, self._heard_at = told_s, time.monotonic()
-        return self._telemetry_s + min((time.monotonic() - self._heard_at) * self._speed, UNHEARD_S)
+            self._telemetry_s, self._told_at = told_s, wall
+        if vehicle.heard != self._heard:
+            self._heard, self._heard_at = vehicle.heard, wall
+        carried_s, heard_s = (wall - self._told_at) * self._speed, (self._heard_at - self._told_at) * self._speed
+        return self._telemetry_s + min(carried_s, max(heard_s, 0.0) + UNHEARD_S)

@@ -20,13 +20,13 @@
          a mode that is not ours in a HEARTBEAT  ->  yielded: no setpoints, no modes of ours, until `resume`
          nothing heard for 3 s of wall clock     ->  silent: no setpoints, the autopilot's own failsafe acts; heard
                                                      again, its mode is obeyed, or sent home if it is still ours
-         we have not listened for `STALL_S`      ->  stalled: no setpoints and no modes of ours before a HEARTBEAT that
-                                                     is news for certain has told that the mode is still ours
+         we have not listened for `STALL_S`, or  ->  nothing is sent before a HEARTBEAT that is news for certain has
+         nothing came that we could steer by         told that the mode is still ours
 
 Without a good action rungs only climb. All times are judged on two clocks, whichever says more: vehicle time, and the
-wall clock in seconds of vehicle time (times the speed of a simulation), since vehicle time may stand still, or be told no
-more. In lockstep the vehicle stands still while we wait for something, so there both are vehicle time, and the wall clock
-counts only through `action_wait_wall_s`. Silence is judged on the wall clock alone.
+wall clock in seconds of vehicle time (times the speed of a simulation), since vehicle time may stand still. In lockstep
+the vehicle stands still while we wait for something, so there both are vehicle time, and the wall clock counts only
+through `action_wait_wall_s`. Silence is judged on the wall clock alone.
 
 Below all of this stands the autopilot's own failsafe, which needs nothing from us but that we stop.
 
@@ -41,6 +41,8 @@ from typing import NamedTuple
 SILENCE_WALL_S = 3.0
 STALE_S = 0.5
 """No setpoint is computed from a position older than this."""
+MODE_OLD_S = 1.5
+"""No setpoint is sent on the word of a HEARTBEAT older than this; some autopilots keep to one a second."""
 BLIND_S = 1.0
 """Without a position for so long the vehicle is given to the autopilot; PX4's own failsafe begins at 1.5 s."""
 STALL_S = 0.5
@@ -84,7 +86,7 @@ class Deadman:
     """The rung's reason, in words."""
 
     def __post_init__(self) -> None:
-        self._placed = NEVER
+        self._placed = self._told_mode = NEVER
         self._acted: Moment | None = None
         """None: no actions are awaited."""
         self._opened = NEVER
@@ -98,6 +100,10 @@ class Deadman:
     def placed(self, now: Moment) -> None:
         """A new position was told."""
         self._placed = now
+
+    def told_mode(self, now: Moment) -> None:
+        """A HEARTBEAT came."""
+        self._told_mode = now
 
     def opened(self, now: Moment) -> None:
         """A slot opened. The first one counts as a good action."""
@@ -129,8 +135,8 @@ class Deadman:
         return not self._answered and now.since(self._opened) > self.deadline_s
 
     def stale(self, now: Moment) -> bool:
-        """Whether the position is too old to steer by."""
-        return now.since(self._placed) > STALE_S
+        """Whether what is known of the vehicle is too old to steer it."""
+        return now.since(self._placed) > STALE_S or now.since(self._told_mode) > MODE_OLD_S
 
     def rung(self, now: Moment) -> Rung:
         """What to do now. RETURN and LAND are final."""

@@ -22,7 +22,7 @@ from airframe.slot_profile import brake
 from autopilot_bridge import preflight
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig
-from autopilot_bridge.deadman import SILENCE_WALL_S, Rung
+from autopilot_bridge.deadman import Rung
 from autopilot_bridge.endings import AS_PLANNED, ERROR, FAILSAFE, End, Yielded
 from autopilot_bridge.flight_parameters import FlightParameters
 from autopilot_bridge.ground import Ground
@@ -299,8 +299,9 @@ class Flight:
                 raise error
             self._listen()
         vehicle.doubt_mode()
-        patience = time.monotonic() + SILENCE_WALL_S
-        while not vehicle.mode_known() and time.monotonic() < patience:
+        while not vehicle.mode_known():
+            if time.monotonic() > patience:
+                raise error
             self._listen()
         loop.silence.excuse(time.monotonic())
         mode = vehicle.telemetry.mode

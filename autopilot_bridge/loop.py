@@ -64,6 +64,7 @@ class Loop:
         self._malformed = 0
         self._counters: Counter[str] = Counter()
         self._steps = 0
+        self._heartbeats = 0
         self._position_s = self._position_told_s = self._state_told_s = 0.0
         ground.objection = self._objection
 
@@ -165,22 +166,32 @@ class Loop:
 
     def _attend(self) -> None:
         """What the step has brought: is it news, is there anybody, is the vehicle still ours? Raises SilentError."""
-        now, wall = self._clock.moment, time.monotonic()
-        if self.expected and self._attention.stalled(now):
-            asleep_s = now.since(self._attention.listened)
-            self.tell("stall", f"{asleep_s:.1f} s without listening: nothing is sent before the mode is known anew")
-            self._counters["stalls"] += 1
-            self._doubted_at = wall
-            self.vehicle.doubt_mode()
+        now, wall, deadman = self._clock.moment, time.monotonic(), self.deadman
+        asleep_s, stale = now.since(self._attention.listened), deadman.stale(now)
+        if self._attention.stalled(now):
             self.silence.excuse(wall)
+            self._doubt(f"{asleep_s:.1f} s without listening")
         self._attention.listened = now
         telemetry = self.vehicle.telemetry
+        if telemetry.heartbeats != self._heartbeats:
+            self._heartbeats = telemetry.heartbeats
+            deadman.told_mode(now)
         if telemetry.position_enu is not None and telemetry.position_s != self._position_s:
             self._position_s = telemetry.position_s
-            self.deadman.placed(Moment(telemetry.position_s, now.wall_s))
+            deadman.placed(Moment(telemetry.position_s, now.wall_s))
+        if stale and not deadman.stale(now):
+            self._doubt("telemetry is back")
         if self.silence.over(self.vehicle.heard, wall) and self.phase != "connecting":
             raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for {SILENCE_WALL_S:g} s")
         self._judge_hands()
+
+    def _doubt(self, why: str) -> None:
+        """Somebody else may have taken the vehicle meanwhile; PX4 gives it back to any stream of setpoints."""
+        if self.expected:
+            self.tell("stall", f"{why}: nothing is sent before the mode is known anew")
+            self._counters["stalls"] += 1
+            self._doubted_at = time.monotonic()
+            self.vehicle.doubt_mode()
 
     def _judge_hands(self) -> None:
         """Who flies? Raises End, Yielded."""
@@ -291,7 +302,7 @@ class Loop:
             self._take_actions(slots)
             if slots.acting:
                 self.helm.steer()
-        if self._clock.now - self._state_told_s >= SAMPLE_S - EARLY_S and self._moved:
+        if abs(self.vehicle.telemetry.position_s - self._position_told_s) >= SAMPLE_S - EARLY_S:
             self._publish_state()
 
     # Telling.
@@ -319,11 +330,6 @@ class Loop:
         told = [reason for reason in flown.reasons if reason not in ("acceleration", "speed", "climb")]
         if told:
             self.tell("slot", f"slot {flown.slot} {flown.outcome}: {', '.join(told)}")
-
-    @property
-    def _moved(self) -> bool:
-        """Whether the position is newer than the last one told."""
-        return self.vehicle.telemetry.position_s > self._position_told_s
 
     def _publish_state(self) -> None:
         telemetry = self.vehicle.telemetry

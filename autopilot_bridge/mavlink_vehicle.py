@@ -34,8 +34,8 @@ MODE_NEWS_S = 0.15
 """A mode heard this short a time ago is the vehicle's."""
 MODE_WAIT_S = 1.5
 """An autopilot that will not send HEARTBEAT faster does so once a second."""
-ASK_WALL_S = 0.2
-"""How often we ask an autopilot whose mode we doubt."""
+ASK_S = 0.2
+"""How often we ask an autopilot whose mode we doubt, on vehicle time and on the wall clock."""
 SHOWN_S = 6.0
 """Vehicle time in which telemetry must show what was acknowledged."""
 RETRY_S = 0.5
@@ -96,6 +96,8 @@ class MavlinkVehicle(Vehicle):
         self._mode_known = True
         self._asked_ns: list[int] = []
         """Our TIMESYNC requests since the mode is doubted (wall clock, CLOCK_MONOTONIC)."""
+        self._asked_s = -math.inf
+        """Vehicle time of the last one."""
         self._answered = False
         """Whether one of them was."""
         self._boot_ms: int | None = None
@@ -212,15 +214,18 @@ class MavlinkVehicle(Vehicle):
         )
 
     def doubt_mode(self) -> None:
-        self._mode_known, self._answered, self._asked_ns = False, False, []
+        self._mode_known, self._answered, self._asked_ns, self._asked_s = False, False, [], -math.inf
 
     def mode_known(self) -> bool:
         """By a TIMESYNC of ours that comes back: a HEARTBEAT behind the answer was sent after the question."""
-        now_ns = time.monotonic_ns()
-        if not self._mode_known and (not self._asked_ns or now_ns - self._asked_ns[-1] > ASK_WALL_S * 1e9):
+        if self._mode_known:
+            return True
+        now_s, now_ns = self._clock.now, time.monotonic_ns()
+        if abs(now_s - self._asked_s) >= ASK_S or now_ns - self._asked_ns[-1] > ASK_S * 1e9:
+            self._asked_s = now_s
             self._asked_ns.append(now_ns)
             self._link.send(mavlink.MAVLink_timesync_message(0, now_ns))
-        return self._mode_known
+        return False
 
     def close(self) -> None:
         self._link.close()
@@ -388,7 +393,9 @@ class MavlinkVehicle(Vehicle):
         unknown = (Mode.OTHER, f"custom mode {message.custom_mode:#x}")
         mode, name = self._known.modes.get(message.custom_mode, unknown)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        self._telemetry = replace(self._telemetry, mode=mode, mode_name=name, armed=armed)
+        self._telemetry = replace(
+            self._telemetry, mode=mode, mode_name=name, armed=armed, heartbeats=self._telemetry.heartbeats + 1
+        )
 
     def _take_home(self, message: Any) -> None:  # noqa: ANN401
         """Positions stay about the home at arming, whoever moves it."""

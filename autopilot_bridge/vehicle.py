@@ -59,6 +59,8 @@ class Telemetry:
     mode: Mode = Mode.OTHER
     mode_name: str = "unknown"
     """As the autopilot calls it."""
+    heartbeats: int = 0
+    """How many have told it so far."""
     armed: bool = False
     landed: bool = False
     """Only once the autopilot says so."""

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from autopilot_bridge import clock
+from autopilot_bridge.deadman import Attention
 from autopilot_bridge.vehicle import SilentError, Telemetry
 
 
@@ -16,7 +17,8 @@ class Autopilot:
         self.wall, self.speed, self.boot_s, self.delay_s, self.rate = wall, speed * rate, boot_s, delay_s, rate
         self.telemetry = Telemetry()
         self.counters = Counter()
-        self.alive = True
+        self.alive = self.telling = True
+        self.heard = 0
         self.frames_received = 0
 
     @property
@@ -25,7 +27,8 @@ class Autopilot:
 
     def poll(self, timeout_s):
         self.wall.now += min(timeout_s, 0.003)
-        if self.alive:
+        self.heard += self.alive
+        if self.alive and self.telling:
             sent = int((self.time_s - self.delay_s * self.speed) * 30) / 30
             self.telemetry = Telemetry(time_s=sent)
 
@@ -71,6 +74,52 @@ def test_vehicle_time_stands_still_without_telemetry_but_steps_return(wall):
         paced.step(autopilot)
     assert paced.now <= lost + clock.UNHEARD_S + 0.06
     assert wall.now > 4.0
+
+
+def test_an_autopilot_that_is_heard_but_does_not_tell_its_time_has_it_carried_on(wall):
+    autopilot = Autopilot(wall, 1.0)
+    paced = clock.Paced(1.0, 50)
+    for _ in range(20):
+        paced.step(autopilot)
+    autopilot.telling = False
+    lost = wall.now
+    while wall.now < lost + 10.0:
+        paced.step(autopilot)
+        assert paced.now == pytest.approx(autopilot.time_s, abs=0.15)
+    autopilot.telling = True
+    before = paced.now
+    for _ in range(20):
+        paced.step(autopilot)
+    assert paced.now == pytest.approx(before + 1.0, abs=0.15)
+    assert paced.now == pytest.approx(autopilot.time_s, abs=0.15)
+
+
+def test_both_clocks_are_told_in_seconds_of_vehicle_time(wall):
+    autopilot = Autopilot(wall, 5.0)
+    paced = clock.Paced(5.0, 50)
+    for _ in range(20):
+        paced.step(autopilot)
+    began = paced.moment
+    autopilot.alive = False
+    wall.now += 2.0
+    paced.step(autopilot)
+    assert paced.moment.vehicle_s - began.vehicle_s < 0.2
+    assert paced.moment.wall_s - began.wall_s >= 10.0
+    autopilot.alive, wall.now = True, wall.now + 2.0
+    paced.step(autopilot)
+    assert paced.moment.vehicle_s - began.vehicle_s > 19.0
+
+
+def test_an_autopilots_clock_that_leaps_is_followed_and_is_a_stall_to_whoever_listens(wall):
+    autopilot = Autopilot(wall, 1.0)
+    paced = clock.Paced(1.0, 50)
+    for _ in range(20):
+        paced.step(autopilot)
+    attention = Attention(paced.moment)
+    autopilot.boot_s += 100.0
+    paced.step(autopilot)
+    assert attention.stalled(paced.moment)
+    assert paced.now == pytest.approx(autopilot.time_s, abs=0.12)
 
 
 def test_a_stall_is_skipped_not_rushed_through(wall):

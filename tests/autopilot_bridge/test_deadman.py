@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from autopilot_bridge.config import BridgeConfig
 from autopilot_bridge.deadman import (
     BLIND_S,
+    MODE_OLD_S,
     SILENCE_WALL_S,
     STALE_S,
     STALL_S,
@@ -33,6 +34,7 @@ class Ladder:
     def rung(self, moment):
         if self.seen:
             self.deadman.placed(moment)
+            self.deadman.told_mode(moment)
         return self.deadman.rung(moment)
 
 
@@ -109,6 +111,7 @@ def test_without_positions(ladder):
     deadman = ladder.deadman
     ladder.rung(at(10.0))
     ladder.seen = False
+    deadman.told_mode(at(100.0))
     rungs = {}
     for eighth in range(81, 240):
         now = at(eighth / 8)
@@ -119,6 +122,15 @@ def test_without_positions(ladder):
         rungs.setdefault(ladder.rung(now), now.vehicle_s)
     assert rungs == {Rung.FLY: 10.125, Rung.HOLD_MODE: 10.125 + BLIND_S, Rung.RETURN: 25.125}
     assert deadman.why == "no position for 15 s"
+
+
+def test_no_setpoint_on_the_word_of_an_old_heartbeat(ladder):
+    deadman = ladder.deadman
+    deadman.told_mode(at(10.0))
+    for eighth in range(81, 120):
+        now = at(eighth / 8)
+        deadman.placed(now)
+        assert deadman.stale(now) == (now.vehicle_s - 10.0 > MODE_OLD_S)
 
 
 def test_the_position_comes_back(ladder):
