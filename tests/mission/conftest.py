@@ -93,6 +93,21 @@ def action(slot):
     )
 
 
+def setpoint(slot):
+    return m.Setpoint(
+        time_s=slot + 0.5,
+        slot=slot,
+        source="hold",
+        action_slot=None,
+        action_age_s=None,
+        state_age_s=0.02,
+        wanted_enu=(1.0, 0.0, 0.0),
+        velocity_enu=(1.0, 0.0, 0.0),
+        yaw_rad=0.0,
+        reasons=[],
+    )
+
+
 def configuration(slot):
     angles = [0.3 * slot + element for element in range(ELEMENTS)]
     return m.RisConfiguration(
@@ -149,6 +164,7 @@ def flight():
             messages.append(("rf/csi", channel_state(slot)))
             messages.append(("agent/action", action(slot)))
             messages.append(("ris/configuration", configuration(slot)))
+            messages.append(("setpoint", setpoint(slot)))
     health = m.NodeHealth(node="rf", wall_time_s=1.0, counters={"refused.action": 2})
     ended = m.MissionEvent(time_s=9.0, source="bridge", kind="ended", text="flown as planned", exit_code=0)
     return [*messages, ("health", health), ("event", ended)]

@@ -36,7 +36,13 @@ def log_of(messages, *, complete=True, more=()):
 
 
 @pytest.fixture
-def sent(flight):
+def flight(flight):
+    """Without its own setpoints."""
+    return [(name, message) for name, message in flight if name != "setpoint"]
+
+
+@pytest.fixture
+def sent():
     """Of the five-slot flight: slots 0 (flown), 1 (clipped) and 4 (rejected) at 10 Hz, with an action in the first two.
 
     Each action is flown from when it comes until the next slot's comes, or the hold begins.

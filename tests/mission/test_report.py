@@ -178,8 +178,8 @@ def test_without_its_mission_a_flight_has_no_flyability_and_that_is_told(run):
 
 def test_setpoints_and_what_contradicts_them_are_shown(run):
     written = report.summarise(run, flight_log.read(run), None)
-    assert written.setpoints is None
-    assert "action age" not in shown(written)
+    assert written.setpoints.by_source == {"hold": 5}
+    assert "action age" not in shown(replace(written, setpoints=None))
     told = Setpoints(
         number=321,
         by_source={"transit": 300, "policy": 21},
