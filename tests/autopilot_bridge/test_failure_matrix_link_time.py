@@ -1,4 +1,4 @@
-"""The failure matrix's rows of a link that is late, or of an autopilot whose time is no more what it was: by a relay."""
+"""The failure matrix's rows of a link that is late, or of an autopilot whose time is not what it was."""
 
 import pytest
 

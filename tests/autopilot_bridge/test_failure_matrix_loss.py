@@ -72,11 +72,9 @@ def test_row(sitl, fly, bridge_config, tmp_path, monkeypatch, fault, personality
             at.append(opened.time_s)
         return (2.0 if opened.slot % 4 < 2 else -2.0, 1.0, 0.0)
 
-    with Case(
-        fault, fly, bridge_config(autopilot, slots=SLOTS), tmp_path, decide, **ports(autopilot)
-    ) as case:
+    with Case(fault, fly, bridge_config(autopilot, slots=SLOTS), tmp_path, decide, **ports(autopilot)) as case:
         case.start()
-        case.flight.wait()
+        case.over()
         case.judge(at[0])
         flown = [slot.flown_enu for slot in case.flight.flown]
         assert len(flown) == SLOTS or case.flight.code == 3

@@ -36,7 +36,7 @@ def flown(sitl, fly, bridge_config, tmp_path):
         config = bridge_config(autopilot, slots=SLOTS, **changes)
         with Case(fault, fly, config, tmp_path, decide, **ports(autopilot)) as case:
             case.start()
-            case.flight.wait()
+            case.over()
             return case
 
     return start
@@ -53,15 +53,15 @@ def in_slot(number, what, at):
 
 def left_s(case):
     """When the autopilot's HEARTBEATs said that it no longer flew setpoints."""
-    flying = False
+    flying, heard_s = False, 0.0
     for message in case.frames:
         if message.get_type() == "HEARTBEAT" and message.get_srcSystem() == 1:
             offboard = message.custom_mode in (6 << 16, 4)
             if flying and not offboard:
-                return stamp
+                return heard_s
             flying = offboard
         elif message.get_type() == "LOCAL_POSITION_NED":
-            stamp = message.time_boot_ms / 1000
+            heard_s = message.time_boot_ms / 1000
     raise AssertionError("it never left the mode that flies setpoints")
 
 

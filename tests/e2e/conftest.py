@@ -91,11 +91,15 @@ class Flight:
             time.sleep(0.02)
         pytest.fail(f"{name} never started:\n{self.text}")
 
+    def session(self):
+        """A session on the flight's bus."""
+        _, command = self.node("bridge")
+        return open_session(connect=[command[command.index("--connect") + 1]])
+
     def await_slot(self, slot):
         """Return as soon as a slot opens, as seen on the bus."""
-        _, command = self.node("bridge")
         opened = queue.SimpleQueue()
-        with open_session(connect=[command[command.index("--connect") + 1]]) as session:
+        with self.session() as session:
             keep = topics.subscribe(session, "star1", topics.SLOT, opened.put, Counter())
             with contextlib.suppress(queue.Empty):
                 while opened.get(timeout=PATIENCE_S).slot < slot:
@@ -112,8 +116,23 @@ class Flight:
                 pytest.fail(f"still there: {left}")
             time.sleep(0.05)
 
+    def signal(self, name, number):
+        os.kill(self.node(name)[0], number)
+
     def kill(self, name):
-        os.kill(self.node(name)[0], signal.SIGKILL)
+        self.signal(name, signal.SIGKILL)
+
+    def port(self, name):
+        """The embedded autopilot's port of that name, once it is open."""
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            for log in (self.folder / "runs").glob("*/logs/sitl.log"):
+                for line in log.read_text().splitlines():
+                    if line.startswith(f"{name} 127.0.0.1:"):
+                        return int(line.split()[1].split(":")[1])
+            assert self.process.poll() is None, self.text
+            time.sleep(0.02)
+        pytest.fail(f"the autopilot never opened its port {name}:\n{self.text}")
 
     def end(self):
         for pid in self.processes():

@@ -6,15 +6,13 @@ from functools import cached_property
 
 from pymavlink import mavutil
 
-from bus import topics
 from mission import flight_log
 from mission.recorder import Recorder
 from tests.failure_matrix.rows import ROWS, judge
 from tests.failure_matrix.witness import Witness
 
 SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
-LOGGED_S = 1.0
-"""What is older than this at the moment of the fault must be on disk."""
+PATIENCE_S = 120.0  # only a failing test waits that long
 AUTOPILOTS = {
     "px4": ("--personality", "px4"),
     "arducopter": ("--personality", "arducopter", "--tcp-port", "0"),
@@ -24,10 +22,10 @@ AUTOPILOTS = {
 class Case:
     """A flight of `fault`'s row, that waits for `start`.
 
-    `fly` is the fixture of tests/autopilot_bridge, `gcs` and `control` the autopilot's ports.
+    `fly` is the fixture of tests/autopilot_bridge, to which `options` go; `gcs`, `control`: the autopilot's ports.
     """
 
-    def __init__(self, fault, fly, config, folder, decide, *, gcs, control):
+    def __init__(self, fault, fly, config, folder, decide, *, gcs, control, **options):
         self.row = ROWS[fault]
         self.folder = folder
         self.tlog = folder / "flight.tlog"
@@ -36,8 +34,9 @@ class Case:
         self._held = ExitStack()
         self.witness = Witness(gcs)
         self._held.callback(self.witness.close)
-        self.flight = fly(config.model_copy(update={"autostart": False}), decide, tlog=self.tlog)
-        self._held.enter_context(Recorder(self.flight.ground, self.flight.vehicle, folder / flight_log.FILE_NAME))
+        self.flight = fly(config.model_copy(update={"autostart": False}), decide, tlog=self.tlog, **options)
+        recorder = Recorder(self.flight.session, self.flight.vehicle, folder / flight_log.FILE_NAME)
+        self._held.enter_context(recorder)
 
     def start(self):
         self.flight.until_phase("ready")
@@ -56,20 +55,20 @@ class Case:
             answer = answers.readline()
         assert answer.startswith("injected"), answer
 
+    def over(self):
+        """Wait for the end, also of a bridge that nobody on the bus hears; the exit code."""
+        self.flight.thread.join(PATIENCE_S)
+        assert not self.flight.thread.is_alive(), "still flying"
+        return self.flight.code
+
     def judge(self, fault_s):
-        """Wait for the end and hold the flight to its row; `fault_s`: vehicle time of the fault."""
-        code = self.flight.wait()
+        """Hold the flight to its row once it is over; `fault_s`: vehicle time of the fault."""
+        code = self.over()
         self._held.close()
         log = flight_log.read(self.folder)
-        judge(self.row, self.witness, log, self.fence_m, code, self.frames)
+        judge(self.row, self.witness, log, self.frames, self.fence_m, code, fault_s)
         assert log.complete
         assert log.lost_bytes == 0
-        states = [state.time_s for state in log.messages(topics.STATE)]
-        assert any(fault_s - LOGGED_S <= time_s <= fault_s + LOGGED_S for time_s in states), f"a hole in the MCAP: {states[:3]} ... {states[-3:]}"
-        heard = [
-            message.time_boot_ms / 1000 for message in self.frames if message.get_type() == "LOCAL_POSITION_NED"
-        ]
-        assert any(fault_s - LOGGED_S <= time_s <= fault_s for time_s in heard), "a hole in the tlog"
         return log
 
     @cached_property

@@ -21,6 +21,11 @@ class End(StrEnum):
 
 HOME_M = 2.0
 """So near to where it took off it is home."""
+STILL_MPS = 0.5
+LOGGED_S = 1.0
+"""What is older than this at the moment of the fault must be on disk."""
+ARMED = 128
+"""Of HEARTBEAT.base_mode."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ class Row:
 
 
 HEADER = (
-    "| fault | injected how | detected in | meanwhile the vehicle | ends | exit | logged besides `phase` | flown with |",
+    "| fault | injected how | detected in | meanwhile the vehicle | ends | exit | logged, besides `phase` | with |",
     "| --- | --- | --- | --- | --- | --- | --- | --- |",
 )
 BOTH = ("px4", "arducopter")
@@ -212,31 +217,168 @@ _TABLE += (
         (0,),
     ),
 )
+_TABLE += (
+    Row(
+        "agent sending NaN",
+        "actions of NaN, of infinity and of no JSON at all in slots 2 to 5",
+        "bridge: the message's schema",
+        "holds, then flies on",
+        (End.LANDED,),
+        (0,),
+        (("slot", "rejected: malformed action"),),
+    ),
+    Row(
+        "agent sending NaN for good",
+        "actions of NaN from slot 2 on",
+        "as above, and the grace",
+        "holds, returns",
+        (End.HOME,),
+        (3,),
+        (("slot", "rejected: malformed action"), ("failsafe", "no good action")),
+        BOTH,
+    ),
+    Row(
+        "zenoh session lost and back",
+        "a TCP relay between the bridge's session and the others' is cut for 1 s in slot 2",
+        "liveliness token, deadline",
+        "holds, then flies on",
+        (End.LANDED,),
+        (0,),
+        (("node_lost", "agent"), ("node_back", "agent")),
+    ),
+    Row(
+        "zenoh session lost for good",
+        "the relay is cut in slot 2",
+        "liveliness token, deadline, grace",
+        "holds, returns",
+        (End.HOME,),
+        (3,),
+        (("node_lost", "agent"), ("failsafe", "no good action")),
+    ),
+)
+for _node, _seen in (("agent", "liveliness token"), ("rf", "liveliness token; the agent is silent without channels")):
+    _TABLE += (
+        Row(
+            f"{_node} killed",
+            "SIGKILL in slot 2",
+            _seen,
+            "holds until it is started again and answers, flies on",
+            (End.LANDED,),
+            (0,),
+            (("node_lost", _node), ("node_back", _node)),
+        ),
+        Row(
+            f"{_node} killed, not to be started again",
+            "SIGKILL in slot 2, `restart: never`",
+            _seen + ", grace",
+            "holds, returns",
+            (End.HOME,),
+            (3,),
+            (("node_lost", _node), ("failsafe", "no good action")),
+        ),
+        Row(
+            f"{_node} frozen",
+            "SIGSTOP in slot 2, SIGCONT on the way home",
+            "deadline, grace",
+            "holds, returns",
+            (End.HOME,),
+            (3,),
+            (("failsafe", "no good action"),),
+        ),
+        Row(
+            f"{_node} slow",
+            "in slots 2 to 5 SIGSTOP but for one answer after half of the slot",
+            "deadline",
+            "holds, then flies on",
+            (End.LANDED,),
+            (0,),
+            (("slot", "late"),),
+        ),
+    )
+_TABLE += (
+    Row(
+        "rf sending malformed",
+        "rf node stopped in slots 2 to 5, nonsense on `rf/csi` in its place",
+        "agent: the message's schema, its sizes; bridge: deadline",
+        "holds, then flies on",
+        (End.LANDED,),
+        (0,),
+        (("slot", "missing"),),
+    ),
+)
+_TABLE += (
+    Row(
+        "bridge killed",
+        "SIGKILL in slot 2",
+        "PX4: COM_OF_LOSS_T; ArduCopter: GUID_TIMEOUT, FS_GCS_TIMEOUT; `fly`: its process is gone",
+        "PX4 returns; ArduCopter brakes after 3 s, returns after 5 s",
+        (End.HOME,),
+        (3,),
+        personalities=BOTH,
+    ),
+    Row(
+        "bridge frozen",
+        "SIGSTOP in slot 2, for good",
+        "as above; `fly`: its autopilot has landed",
+        "as above",
+        (End.HOME,),
+        (3,),
+        personalities=BOTH,
+    ),
+    Row(
+        "bridge frozen for 10 s",
+        "SIGSTOP in slot 2, SIGCONT 10 s later",
+        "as above; the bridge: it has not listened for 0.5 s",
+        "as above; no setpoint after it woke",
+        (End.HOME,),
+        (3,),
+        (("mode", "obeyed"),),
+        BOTH,
+    ),
+    Row(
+        "mission process killed",
+        "SIGKILL in slot 2",
+        "nobody's: nobody needs it",
+        "flies on",
+        (End.LANDED,),
+        (0,),
+    ),
+    Row(
+        "disk full",
+        "RLIMIT_FSIZE 0 for all of our processes in slot 2: every write fails",
+        "write error; `fly`: recording stopped",
+        "flies on",
+        (End.LANDED,),
+        (1,),
+    ),
+)
 ROWS = {row.fault: row for row in _TABLE}
 
 
-def judge(row, witness, log, fence_m, code, frames=()):
-    """Hold a flight to its row: exit code, where the vehicle truly is, and what the recording tells.
+def judge(row, witness, log, frames, fence_m, code, fault_s):
+    """Hold a flight to its row: where the vehicle truly is, the exit code, what was told, what the logs still hold.
 
-    A simulator that the bridge ends as soon as it hears the disarming may be gone before the witness hears it: the
-    autopilot's last HEARTBEAT among the tlog's `frames` counts too.
+    `log` is the MCAP, `frames` are the tlog's, `fault_s` is the vehicle time of the fault. A simulator that its bridge
+    ends as soon as it hears the disarming may be gone before the witness hears it: the autopilot's last HEARTBEAT in
+    the tlog counts too.
     """
-    assert code in row.codes, f"exit {code}; {_told(log)}"
+    told = [(event.kind, event.text) for event in log.messages(topics.EVENT)]
     end = witness.last
-    armed = [bool(f.base_mode & 128) for f in frames if f.get_type() == "HEARTBEAT" and f.get_srcSystem() == 1]
-    down = end.landed and not (end.armed and (armed or [True])[-1])
+    beats = [frame for frame in frames if frame.get_type() == "HEARTBEAT" and frame.get_srcSystem() == 1]
+    down = end.landed and not (end.armed and beats[-1].base_mode & ARMED)
     inside = max(map(abs, end.position_enu[:2])) <= fence_m
     found = {
-        End.HOLDING: end.armed and not end.landed and end.speed_mps < 0.5 and inside,
+        End.HOLDING: end.armed and not end.landed and end.speed_mps < STILL_MPS and inside,
         End.HOME: down and end.from_home_m < HOME_M,
         End.LANDED: down and inside,
         End.DOWN: down,
     }
-    assert any(found[wanted] for wanted in row.ends), f"not {row.ends}: {end}; {_told(log)}"
-    told = _told(log)
+    assert any(found[wanted] for wanted in row.ends), f"not {row.ends}: {end}; {told}"
+    assert code in row.codes, f"exit {code}; {told}"
     for kind, text in row.told:
         assert any(kind == k and text in t for k, t in told), f"{kind} {text!r} was not told: {told}"
-
-
-def _told(log):
-    return [(event.kind, event.text) for event in log.messages(topics.EVENT)]
+    recorded = [state.time_s for state in log.messages(topics.STATE)]
+    heard = [frame.time_boot_ms / 1000 for frame in frames if frame.get_type() == "LOCAL_POSITION_NED"]
+    for name, times in (("MCAP", recorded), ("tlog", heard)):
+        newest = max((time_s for time_s in times if time_s <= fault_s), default=0.0)
+        assert newest >= fault_s - LOGGED_S, f"{name}: nothing between {newest:.1f} s and the fault at {fault_s:.1f} s"

@@ -1,0 +1,29 @@
+"""The failure matrix's rows of an agent or rf node that is killed."""
+
+import pytest
+
+from tests.failure_matrix.launched import Launched, outcomes
+
+FROM_SLOT = 2
+SLOTS = 40
+
+
+@pytest.mark.parametrize("node", ["agent", "rf"])
+def test_killed(launch, short, node):
+    with Launched(f"{node} killed", launch, short, slots=SLOTS) as case:
+        case.until_slot(FROM_SLOT)
+        case.begin(node)
+        log = case.judge()
+    assert log.complete
+    assert outcomes(log)[-1] in ("flown", "clipped")
+    assert len(outcomes(log)) == SLOTS
+
+
+@pytest.mark.parametrize("node", ["agent", "rf"])
+def test_killed_for_good(launch, short, node):
+    with Launched(f"{node} killed, not to be started again", launch, short, restart="never") as case:
+        case.until_slot(FROM_SLOT)
+        case.begin(node)
+        log = case.judge()
+    assert log.complete
+    assert outcomes(log)[-1] == "missing"
