@@ -178,7 +178,7 @@ class PymavlinkVehicle(MavlinkVehicle):
         match message.get_type():
             case "COMMAND_ACK":
                 self._acks[message.command] = message.result
-            case "PARAM_VALUE":
+            case "PARAM_VALUE" if self._known is not None:  # who it is tells how integers travel
                 value = self._decode(message.param_value, message.param_type)
                 self._parameters[message.param_id] = (value, message.param_type)
             case "MISSION_COUNT" if _of_our_fence(message):

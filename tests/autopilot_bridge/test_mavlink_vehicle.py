@@ -5,6 +5,8 @@ import socket
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot_bridge.dialects.known import dialects
@@ -190,3 +192,46 @@ def test_zeros_cut_off_at_the_end_are_zeros(autopilot):
     told = autopilot.say(local(1000, x=0.0, y=0.0, z=0.0))
     assert told.position_enu == pytest.approx([0, 0, 0])
     assert told.velocity_enu == pytest.approx([0, 0, 0])
+
+
+def test_somebody_elses_parameters_before_we_are_connected_do_no_harm(vehicle):
+    """A ground station that is reading them when we come."""
+    value = mavlink.MAVLink_param_value_message(b"COM_OBL_RC_ACT", 0.0, mavlink.MAV_PARAM_TYPE_INT32, 1, 0)
+    Autopilot(vehicle, vehicle._link).say(value)
+    assert vehicle.counters["bad_data"] == 0
+
+
+def framed(number, payload):
+    """A frame of any payload, zeros cut off, with the checksum that makes it one."""
+    cut = payload.rstrip(b"\0") or payload[:1]
+    body = bytes([len(cut), 0, 0, 0, 1, 1]) + number.to_bytes(3, "little") + cut
+    checksum = mavlink.x25crc(body + bytes([mavlink.mavlink_map[number].crc_extra])).crc
+    return b"\xfd" + body + checksum.to_bytes(2, "little")
+
+
+@pytest.mark.parametrize("met", [False, True])
+@given(data=st.data())
+def test_no_frame_ends_a_flight(data, met):
+    """Whatever stands in it, before the first HEARTBEAT and after it."""
+    link, clock = Link("udpin://127.0.0.1:0", 1), Clock()
+    vehicle = PymavlinkVehicle(link, dialects("auto"), 1, clock, lambda: None)
+    autopilot = Autopilot(vehicle, link)
+    if met:
+        autopilot.say(beat())
+    try:
+        for _ in range(5):
+            number = data.draw(st.sampled_from(sorted(vehicle.read)))
+            size = mavlink.mavlink_map[number].unpacker.size
+            payload = data.draw(st.binary(min_size=1, max_size=size))
+            autopilot.socket.sendto(framed(number, payload), ("127.0.0.1", link.port))
+            vehicle.poll(5.0)
+        told = vehicle.telemetry
+        assert link.heard + link.counters["foreign"] == 5 + met
+        assert link.counters["bad_data"] == 0
+        assert np.isfinite(told.attitude_rad).all()
+        assert told.position_enu is None or np.isfinite(told.position_enu).all()
+        vehicle.status_texts()
+        vehicle.remarks()
+    finally:
+        autopilot.socket.close()
+        vehicle.close()
