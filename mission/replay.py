@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bus import topics
-from bus.messages import Action, ChannelState, LinkReport, RisConfiguration, SlotOpened, VehicleState
+from bus.messages import Action, ChannelState, LinkReport, RisConfiguration, SlotOpened
 from bus.session import free_endpoint, open_session
 from mission.flight_log import FlightLog, read
-from mission.mission_file import action_deadline_s, load
+from mission.mission_file import load
 from mission.run_folder import MISSION_NAME
 from mission.supervisor import Node, python
 
 START_S = 120.0
 ANSWER_S = 10.0
 
-_Sent = VehicleState | SlotOpened | Action
+_Sent = SlotOpened | Action
 _Heard = ChannelState | RisConfiguration | LinkReport
 
 
@@ -52,12 +52,11 @@ class Replay:
 def replay(run: Path) -> Replay:
     """Replay a run folder.
 
-    A node that was restarted in flight, or that took an action which this recording shows as late, may differ: what
-    it knew then is not in the messages. Raises FlightLogError, MissionError, BusError, ReplayError.
+    A node that was restarted in flight, or that an action never reached, may differ: what it knew then is not in the
+    messages. Raises FlightLogError, MissionError, BusError, ReplayError.
     """
     mission = load(run / MISSION_NAME)
     log = read(run)
-    deadline_s = action_deadline_s(mission)
     heard: queue.SimpleQueue[_Heard] = queue.SimpleQueue()
     refused: Counter[str] = Counter()
     endpoint = free_endpoint()
@@ -76,14 +75,11 @@ def replay(run: Path) -> Replay:
         node = Node("rf", python("mission", "rf", "--mission", str(run / MISSION_NAME), "--connect", endpoint), logs)
         stack.callback(node.end)
         _await_node(node, alive)
-        state = topics.Publisher(session, name, topics.STATE)
         slot = topics.Publisher(session, name, topics.SLOT)
         action = topics.Publisher(session, name, topics.ACTION)
         answers = _Answers(heard)
-        for message, expected in script(log, deadline_s):
+        for message, expected in script(log):
             match message:
-                case VehicleState():
-                    state.send(message)
                 case SlotOpened():
                     slot.send(message)
                 case Action():
@@ -110,55 +106,29 @@ class _Answers:
             self.got[_topic(message), message.slot] = message
 
 
-def script(log: FlightLog, deadline_s: float) -> Iterator[tuple[_Sent, list[tuple[str, int]]]]:
+def script(log: FlightLog) -> Iterator[tuple[_Sent, list[tuple[str, int]]]]:
     """Messages to send, each with the answers to wait for before the next.
 
-    They go out in the order recorded, but for the actions that the bridge says it got in time: those follow their
-    slot's opening at once. Action and opening came to the recorder over different links, so their order there is not
-    that of the flight.
+    An action follows its slot's opening at once when the bridge or the node got it in time: either may have had it
+    sooner than the other, and it came to the recorder over another link than the opening, so their order there is not
+    that of the flight. Any other action follows the next opening, when it changes nothing any more.
     """
-    opened = log.by_slot(topics.SLOT)
-    in_time = {
-        slot: action
-        for slot, action in log.by_slot(topics.ACTION).items()
-        if slot in opened and slot + 1 in opened and _came_in_time(opened[slot + 1])
-    }
-    current: SlotOpened | None = None
-    now_s = float("-inf")
-    for message in _recorded(log):
-        match message:
-            case VehicleState():
-                now_s = message.time_s
-                yield message, []
-            case SlotOpened():
-                expected: list[tuple[str, int]] = []
-                if current is not None:
-                    expected += [(topics.CONFIGURATION.name, current.slot), (topics.LINK.name, current.slot)]
-                if not message.closing:
-                    expected.append((topics.CSI.name, message.slot))
-                current = message
-                yield message, expected
-                if message.slot in in_time:
-                    yield in_time[message.slot], [(topics.CONFIGURATION.name, message.slot)]
-            case Action() if message.slot not in in_time:
-                answered = current is not None and message.slot == current.slot and now_s <= current.time_s + deadline_s
-                yield message, [(topics.CONFIGURATION.name, message.slot)] if answered else []
-            case _:
-                pass
-
-
-def _recorded(log: FlightLog) -> Iterator[_Sent]:
-    kinds: dict[str, type[VehicleState] | type[SlotOpened] | type[Action]] = {
-        topics.STATE.name: VehicleState,
-        topics.SLOT.name: SlotOpened,
-        topics.ACTION.name: Action,
-    }
-    for entry in log.entries:
-        if entry.topic in kinds:
-            try:
-                yield topics.decode(entry.payload, kinds[entry.topic])
-            except topics.RefusedError:
-                continue
+    opened, actions = log.by_slot(topics.SLOT), log.by_slot(topics.ACTION)
+    applied = {slot for slot, set_by in log.by_slot(topics.CONFIGURATION).items() if set_by.source == "action"}
+    in_time = applied | {slot for slot in opened if slot + 1 in opened and _came_in_time(opened[slot + 1])}
+    before: SlotOpened | None = None
+    for slot in sorted(opened):
+        expected: list[tuple[str, int]] = []
+        if before is not None:
+            expected += [(topics.CONFIGURATION.name, before.slot), (topics.LINK.name, before.slot)]
+        if not opened[slot].closing:
+            expected.append((topics.CSI.name, slot))
+        yield opened[slot], expected
+        if slot in actions.keys() & in_time:
+            yield actions[slot], [(topics.CONFIGURATION.name, slot)]
+        if before is not None and before.slot in actions.keys() - in_time:
+            yield actions[before.slot], []
+        before = opened[slot]
 
 
 def _came_in_time(next_opened: SlotOpened) -> bool:
