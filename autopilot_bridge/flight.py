@@ -31,6 +31,7 @@ from autopilot_bridge.loop import Loop, rounded
 from autopilot_bridge.parameter_journal import JournalError, ParameterJournal, journal_name, state_folder
 from autopilot_bridge.separation import Track
 from autopilot_bridge.slots import Slots, vec3
+from autopilot_bridge.takeoff import Takeoff
 from autopilot_bridge.transit import Transit
 from autopilot_bridge.vehicle import Mode, SilentError, Vehicle, VehicleError
 
@@ -184,8 +185,7 @@ class Flight:
         self._loop.flying = True
         try:
             self._loop.enter("takeoff")
-            self._loop.expected = {self._vehicle.dialect.ready, Mode.TAKEOFF}
-            self._vehicle.takeoff(self._config.takeoff_altitude_m)
+            self._take_off()
         except Yielded:
             self._await_resume()
         while True:
@@ -202,6 +202,14 @@ class Flight:
                 return
             except Yielded:
                 self._await_resume()
+
+    def _take_off(self) -> None:
+        """The autopilot's own, to a hover."""
+        dialect, altitude_m = self._vehicle.dialect, self._config.takeoff_altitude_m
+        self._loop.expected = {dialect.ready, Mode.TAKEOFF}
+        self._loop.takeoff = Takeoff(dialect.ready, dialect.takeoff_done * altitude_m)
+        self._vehicle.takeoff(altitude_m)
+        self._loop.takeoff = None
 
     def _first_slots(self) -> Slots:
         self._transit()
@@ -395,4 +403,4 @@ class Flight:
     def _release(self) -> None:
         """No setpoints, no slots."""
         self._helm.let_go()
-        self._helm.slots, self._loop.flying, self._loop.resting = None, False, False
+        self._helm.slots, self._loop.flying, self._loop.resting, self._loop.takeoff = None, False, False, None

@@ -16,6 +16,7 @@ from autopilot_bridge.ground import Ground
 from autopilot_bridge.helm import Helm
 from autopilot_bridge.separation import Track
 from autopilot_bridge.slots import SAMPLE_S, Slots, vec3
+from autopilot_bridge.takeoff import Takeoff
 from autopilot_bridge.vehicle import Mode, SilentError, Vehicle
 from bus import messages as m
 
@@ -52,12 +53,15 @@ class Loop:
         """No actions are flown: by command, or because somebody else flies."""
         self.expected: set[Mode] = set()
         """Modes that are our doing; empty: the vehicle is not ours, any will do."""
+        self.takeoff: Takeoff | None = None
+        """The one that is being flown."""
         self.resting = False
         """In the autopilot's own hold mode, by our own choice."""
         self.flying = False
         """Armed by us and not yet told to come down."""
         self.silence = Silence(time.monotonic())
         self._attention = Attention(clock.moment)
+        self._broken_off = False
         self._doubted_at = 0.0
         """Wall clock."""
         self._alive: dict[str, bool] = {}
@@ -181,6 +185,8 @@ class Loop:
             deadman.placed(Moment(telemetry.position_s, now.wall_s))
         if stale and not deadman.stale(now):
             self._doubt("telemetry is back")
+        if self.takeoff is not None and telemetry.position_enu is not None:
+            self._broken_off = self.takeoff.broken_off(telemetry.mode, float(telemetry.position_enu[2]), now)
         if self.silence.over(self.vehicle.heard, wall) and self.phase != "connecting":
             raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for {SILENCE_WALL_S:g} s")
         self._judge_hands()
@@ -199,7 +205,7 @@ class Loop:
         if self.flying and not telemetry.armed:
             raise End(None, FAILSAFE, f"the vehicle disarmed in mode {telemetry.mode_name}")
         if self._taken:
-            self.expected, self.resting = set(), False
+            self.expected, self.resting, self.takeoff, self._broken_off = set(), False, None, False
             self.helm.let_go()
             self.tell("mode", f"{telemetry.mode_name} was chosen by autopilot or pilot: obeyed")
             raise Yielded
@@ -208,7 +214,7 @@ class Loop:
     def _taken(self) -> bool:
         """Whether the vehicle was ours, and a HEARTBEAT has told that it no longer is."""
         telemetry = self.vehicle.telemetry
-        return bool(self.expected) and telemetry.armed and telemetry.mode not in self.expected
+        return bool(self.expected) and telemetry.armed and (telemetry.mode not in self.expected or self._broken_off)
 
     def _may_send(self) -> bool:
         """Whether a setpoint may go out now: the vehicle is ours for all that we know, and we know it from just now."""
