@@ -201,16 +201,20 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 link = Link("udpin://127.0.0.1:0", 1, Path(sys.argv[1]))
 out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-for boot_ms, room in [(1, 1000), (2, 75), (3, 75), (4, 1000)]:
+short, long = mavlink.MAVLink_attitude_message(1, 0, 0, 0, 0, 0, 1), mavlink.MAVLink_statustext_message(4, b"a" * 50)
+whole = 0
+for message, room in [(short, 1000), (long, 110), (long, 110), (short, 1000)]:
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, 1000))
-    out.sendto(mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 1).pack(codec), ("127.0.0.1", link.port))
+    frame = message.pack(codec)
+    whole += 8 + len(frame) if message is short else 0
+    out.sendto(frame, ("127.0.0.1", link.port))
     assert len(link.receive(5.0)) == 1
-print(link.counters["log_failed"])
+print(link.counters["log_failed"], whole)
 """
     path = tmp_path / "flight.tlog"
     result = subprocess.run([sys.executable, "-c", program, str(path)], capture_output=True, text=True, timeout=60)
-    assert result.stdout == "2\n", result.stderr
-    assert [m.time_boot_ms for m in read_log(path)] == [1, 4]
+    assert result.stdout == f"2 {path.stat().st_size}\n", result.stderr
+    assert [m.get_type() for m in read_log(path)] == ["ATTITUDE", "ATTITUDE"]
 
 
 def test_the_log_runs_on_vehicle_time(link, tmp_path):
