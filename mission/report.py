@@ -172,10 +172,9 @@ def table(report: Report) -> RenderableType:
     parts: list[RenderableType] = [users, total]
     if report.flyability is not None:
         parts.append(_flyability_table(report.flyability))
-        if report.flyability.left_out:
-            parts.append(
-                f"without the slots that somebody else flew: {', '.join(map(str, report.flyability.left_out))}"
-            )
+        left_out = report.flyability.left_out
+        if left_out:
+            parts.append(f"left out: {len(left_out)} slots that somebody else flew, the first is {left_out[0]}")
         if report.flyability.difference:
             parts.append(f"flyability cannot be trusted: {report.flyability.difference}")
     if report.setpoints is not None:

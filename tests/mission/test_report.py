@@ -122,7 +122,7 @@ def slot_flyability(slot):
 FLYABLE = Flyability(
     difference="",
     slots=3,
-    left_out=[2],
+    left_out=[2, 4],
     limits_rms_m=4.25,
     tracking_rms_m=0.125,
     energy_j=Total(540.0, 570.0, 600.0, 30.0, 30.0),
@@ -150,7 +150,7 @@ def test_what_was_lost_to_flight_dynamics_is_shown(run):
     }
     text = shown(written)
     assert "flyability: 3 slots, surface as set in flight, or set anew (closed form)" in text
-    assert "without the slots that somebody else flew: 2\n" in text
+    assert "left out: 2 slots that somebody else flew, the first is 2" in text
     assert "trusted" not in text
     assert "flyability cannot be trusted: slot 0 was" in shown(
         replace(written, flyability=replace(FLYABLE, difference="slot 0 was another"))
