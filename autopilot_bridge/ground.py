@@ -38,6 +38,7 @@ class Ground:
         """Nodes that came (True) and went."""
         self.refused: Counter[str] = Counter()
         """Bad payloads per topic."""
+        self.counters: Counter[str] = Counter()
         self.now: Callable[[], float] = lambda: 0.0
         """Vehicle time for events; the flight sets it."""
         self.objection: Callable[[m.CommandName], str] = lambda name: "the bridge is not up yet"
@@ -67,7 +68,10 @@ class Ground:
     def tell(self, kind: str, text: str, exit_code: int | None = None) -> None:
         """An event, on the bus and on our own output."""
         now = self.now()
-        print(f"{now:9.2f} {kind}: {text}", flush=True)
+        try:
+            print(f"{now:9.2f} {kind}: {text}", flush=True)
+        except OSError:
+            self.counters["print_failed"] += 1  # a full disk must not take the vehicle down with it
         self._event.send(m.MissionEvent(time_s=now, source="bridge", kind=kind, text=text, exit_code=exit_code))
 
     def publish_health(self, counters: Callable[[], Counter[str]], final: bool = False) -> None:
@@ -76,7 +80,7 @@ class Ground:
         if wall - self._health_at < HEALTH_WALL_S and not final:
             return
         self._health_at = wall
-        self._health.send(topics.health("bridge", counters(), self.refused))
+        self._health.send(topics.health("bridge", counters() + self.counters, self.refused))
 
     def _put(self, into: "queue.SimpleQueue[T]") -> Callable[[T], None]:
         """Puts things there and rings."""
