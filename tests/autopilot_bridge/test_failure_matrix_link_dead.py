@@ -4,6 +4,7 @@ import time
 
 import pytest
 
+from autopilot_bridge.deadman import SILENCE_WALL_S
 from tests.failure_matrix.relayed import SPEED, relayed_case
 from tests.failure_matrix.rows import BOTH
 
@@ -11,14 +12,23 @@ ALLOWED_S = 1.5
 """Vehicle time from the fault to our last setpoint."""
 
 
-@pytest.mark.parametrize("personality", BOTH)
-@pytest.mark.parametrize("dead_s", [3, 10, 60])
-def test_link_dead(fly, bridge_config, tmp_path, dead_s, personality):
-    with relayed_case(f"link dead {dead_s} s", personality, fly, bridge_config, tmp_path) as (case, relay):
+@pytest.mark.parametrize(
+    ("fault", "personality", "dead_s", "slots"),
+    [
+        ("link dead 3 s", "px4", 3, 1000),
+        ("link dead 3 s (ArduCopter)", "arducopter", 3, 15),
+        *(("link dead 10 s", personality, 10, 1000) for personality in BOTH),
+        *(("link dead 60 s", personality, 60, 1000) for personality in BOTH),
+    ],
+)
+def test_link_dead(fly, bridge_config, tmp_path, fault, personality, dead_s, slots):
+    with relayed_case(fault, personality, fly, bridge_config, tmp_path, slots) as (case, relay):
         relay.cut, cut_at = True, time.monotonic()
         fault_s = case.witness.last.time_s
-        case.witness.until(lambda sight: sight.time_s > fault_s + dead_s, f"{dead_s} s of a dead link")
+        paced_s = min(dead_s, SILENCE_WALL_S * SPEED + 3.0)
+        case.witness.until(lambda sight: sight.time_s > fault_s + paced_s, f"{paced_s:g} s of a dead link")
         in_the_dark = [at for at in relay.setpoints if at > cut_at + ALLOWED_S / SPEED]
+        case.let_pass(fault_s + dead_s)
         relay.cut = False
         case.judge(fault_s)
         assert not in_the_dark

@@ -3,6 +3,7 @@
 import socket
 from contextlib import ExitStack
 from functools import cached_property
+from types import SimpleNamespace
 
 from pymavlink import mavutil
 
@@ -10,6 +11,7 @@ from mission import flight_log
 from mission.recorder import Recorder
 from tests.failure_matrix.rows import ROWS, judge
 from tests.failure_matrix.witness import Witness
+from tests.sitl.process import step
 
 SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
 PATIENCE_S = 120.0  # only a failing test waits that long
@@ -54,6 +56,12 @@ class Case:
             line.sendall(f"inject {what}\n".encode())
             answer = answers.readline()
         assert answer.startswith("injected"), answer
+
+    def let_pass(self, until_s):
+        """Let a paced vehicle's time pass at once, as far as `until_s`."""
+        missing_s = until_s - self.witness.last.time_s
+        if missing_s > 0:
+            step(SimpleNamespace(control=self._control), round(missing_s * 1000))
 
     def over(self):
         """Wait for the end, also of a bridge that nobody on the bus hears; the exit code."""

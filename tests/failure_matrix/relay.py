@@ -33,6 +33,8 @@ class MavlinkRelay:
         """What is taken off the autopilot's clock."""
         self._newest_ms = 0
         self._decoder = mavlink.MAVLink(None)
+        self._beat = b""
+        """The bridge's last HEARTBEAT."""
         self._waiting = deque()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._pass, daemon=True)
@@ -53,6 +55,7 @@ class MavlinkRelay:
             self._up.close()
             self._up = self._open(self._sitl)
             self._decoder = mavlink.MAVLink(None)
+            self._up.send(self._beat)  # who is at the port that it sends to, it knows from its parameters
 
     def jump(self, seconds):
         """The autopilot's clock shows so much more from now on."""
@@ -91,8 +94,11 @@ class MavlinkRelay:
             self._send(self._down, self._shifted(datagram))
 
     def _to_sitl(self, datagram):
-        if datagram[7:10] == (mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED).to_bytes(3, "little"):
-            self.setpoints.append(time.monotonic())
+        match int.from_bytes(datagram[7:10], "little"):
+            case mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
+                self.setpoints.append(time.monotonic())
+            case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                self._beat = datagram
         if not self.cut:
             self._send(self._up, datagram)
 
