@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from msgspec.structs import replace
 
 from bus import messages as m
 from bus import topics
@@ -49,8 +50,11 @@ def track(start, displacement, begin_s):
     ]
 
 
-def openings(flying, moves=MOVES, off=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), outcome="flown"):
-    """A flight that is `off` its plan all the time."""
+STILL = (0.0, 0.0, 0.0)
+
+
+def openings(flying, moves=MOVES, off=STILL, slip=STILL, attitude=(0.0, 0.0, 0.0), outcome="flown"):
+    """A flight that is `off` its plan all the time, and measured as faster by `slip`."""
     place, found = flying.scenario.start_enu, []
     for k in range(len(moves) + 1):
         flown = None
@@ -64,7 +68,10 @@ def openings(flying, moves=MOVES, off=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0),
                 commanded_enu=commanded,
                 planned_enu=planned,
                 flown_enu=planned,
-                track=track(plus(start, off), planned, START_S + k - 1),
+                track=[
+                    replace(sample, velocity_enu=plus(sample.velocity_enu, slip))
+                    for sample in track(plus(start, off), planned, START_S + k - 1)
+                ],
                 plan=track(start, planned, START_S + k - 1),
             )
         found.append(
@@ -164,8 +171,8 @@ def headings(flying, places):
 @pytest.mark.parametrize("timing", ["pre", "post"])
 def test_each_place_is_worth_what_the_radio_models_parts_say(timing, attitude, yaw):
     flying = mission(scenario={"timing": timing, "attitude": attitude, "panel_heading_rad": 0.3}, yaw=yaw)
-    off, (roll, pitch, flown_yaw) = (0.4, -0.3, 0.2), (0.1, -0.15, 0.5)
-    log = recording(flying, openings(flying, off=off, attitude=(roll, pitch, flown_yaw)))
+    off, slip, (roll, pitch, flown_yaw) = (0.4, -0.3, 0.2), (0.7, 0.2, -0.1), (0.1, -0.15, 0.5)
+    log = recording(flying, openings(flying, off=off, slip=slip, attitude=(roll, pitch, flown_yaw)))
     planned = [flying.scenario.start_enu]
     for _, move in MOVES:
         planned.append(plus(planned[-1], move))
@@ -184,7 +191,7 @@ def test_each_place_is_worth_what_the_radio_models_parts_say(timing, attitude, y
         for name, places, velocity in (
             ("commanded", commanded, command),
             ("planned", planned, plan),
-            ("flown", flown, plan),
+            ("flown", flown, plus(plan, slip)),
         ):
             way = track(places[row.slot], velocity, 0.0)
             rate, _, _ = evaluated_apart(flying, log, row.slot, places[rated], attitudes[name][rated], way)
