@@ -165,13 +165,16 @@ class Deadman:
 
 @dataclass
 class Attention:
-    """Judges whether we have been listening. A process that was frozen has not, whatever its socket's buffer holds."""
+    """Judges whether we have been listening. A process that was frozen has not, whatever its socket's buffer holds.
+
+    By the wall clock alone: vehicle time also leaps when it was not told for a while.
+    """
 
     listened: Moment
 
     def stalled(self, now: Moment) -> bool:
         """Whether something may have happened that we could not hear."""
-        return now.since(self.listened) > STALL_S
+        return now.wall_s - self.listened.wall_s > STALL_S
 
 
 @dataclass

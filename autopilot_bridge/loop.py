@@ -159,6 +159,8 @@ class Loop:
         if rung is not self._rung:
             self.tell("ladder", f"{self._rung.name} -> {rung.name}: {self.deadman.why}")
             self._rung = rung
+            if rung in (Rung.HOLD_MODE, Rung.RETURN) and self.deadman.stale(self._clock.moment):
+                self.vehicle.ask_for_telemetry()
         if rung is Rung.RETURN and not self.deadman.coming_down:
             raise End(Mode.RETURN, FAILSAFE, self.deadman.why)
         if not (helm.steering or self.resting):
@@ -171,10 +173,10 @@ class Loop:
     def _attend(self) -> None:
         """What the step has brought: is it news, is there anybody, is the vehicle still ours? Raises SilentError."""
         now, wall, deadman = self._clock.moment, time.monotonic(), self.deadman
-        asleep_s, stale = now.since(self._attention.listened), deadman.stale(now)
+        stale = deadman.stale(now)
         if self._attention.stalled(now):
             self.silence.excuse(wall)
-            self._doubt(f"{asleep_s:.1f} s without listening")
+            self._doubt(f"{now.wall_s - self._attention.listened.wall_s:.1f} s without listening")
         self._attention.listened = now
         telemetry = self.vehicle.telemetry
         if telemetry.heartbeats != self._heartbeats:
@@ -193,11 +195,13 @@ class Loop:
 
     def _doubt(self, why: str) -> None:
         """Somebody else may have taken the vehicle meanwhile; PX4 gives it back to any stream of setpoints."""
-        if self.expected:
+        if not self.expected:
+            return
+        if self.vehicle.mode_known():
             self.tell("stall", f"{why}: nothing is sent before the mode is known anew")
             self._counters["stalls"] += 1
             self._doubted_at = time.monotonic()
-            self.vehicle.doubt_mode()
+        self.vehicle.doubt_mode()
 
     def _judge_hands(self) -> None:
         """Who flies? Raises End, Yielded."""

@@ -213,6 +213,16 @@ class MavlinkVehicle(Vehicle):
             MODE_WAIT_S,
         )
 
+    def ask_for_telemetry(self) -> None:
+        """By SET_MESSAGE_INTERVAL, whatever the back end: one that has started anew knows nothing of the last."""
+        for message_id, rate_hz in self.dialect.rates_hz.items():
+            command, rest = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, [0.0] * 5
+            self._link.send(
+                mavlink.MAVLink_command_long_message(
+                    self._system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, message_id, 1e6 / rate_hz, *rest
+                )
+            )
+
     def doubt_mode(self) -> None:
         self._mode_known, self._answered, self._asked_ns, self._asked_s = False, False, [], -math.inf
 

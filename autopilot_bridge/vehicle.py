@@ -161,6 +161,10 @@ class Vehicle(ABC):
         """Wait until the mode in `telemetry` is news, so that nobody's newer choice is overruled unseen."""
 
     @abstractmethod
+    def ask_for_telemetry(self) -> None:
+        """Ask anew for what we need, without waiting for an answer: what has stopped may have been forgotten."""
+
+    @abstractmethod
     def doubt_mode(self) -> None:
         """We have not listened for a while: what is heard next may be old, from a buffer that had no room for more."""
 

@@ -1,6 +1,7 @@
 """Pilots are never fought: whatever the bridge is doing, once a HEARTBEAT has told a mode that is not ours nothing that
 flies is sent any more, on both autopilots, in lockstep."""
 
+import math
 import time
 from functools import partial
 
@@ -161,19 +162,34 @@ def test_resume_takes_it_back_and_nothing_else_does(case):
     assert case.flight.wait() == 3
 
 
-def test_px4_would_give_itself_back_to_a_stream(sitl, fly, bridge_config, tmp_path, monkeypatch):
-    """The stream was lost, the failsafe flies home, the link is back: nothing is sent, so OFFBOARD stays left."""
-    cut = False
+class Cut:
+    """A link that is dead for `dead_s` of vehicle time from `since_s` on; HEARTBEATs take `silent_s` to be back."""
 
-    def spoilt(datagram):
-        return () if cut else (datagram,)
+    def __init__(self, dead_s, silent_s):
+        self.dead_s, self.silent_s, self.since_s, self.time_s = dead_s, silent_s, math.inf, 0.0
+
+    def inward(self, datagram):
+        kind = int.from_bytes(datagram[7:10], "little")
+        if kind == mavlink.MAVLINK_MSG_ID_ATTITUDE:
+            self.time_s = int.from_bytes(datagram[10:14], "little") / 1000
+        lost_s = self.silent_s if kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT else self.dead_s
+        return () if 0.0 <= self.time_s - self.since_s < lost_s else (datagram,)
+
+    def outward(self, datagram):
+        return () if 0.0 <= self.time_s - self.since_s < self.dead_s else (datagram,)
+
+
+@pytest.mark.parametrize(("dead_s", "silent_s"), [(2.0, 2.0), (1.2, 1.45)], ids=["dead", "heartbeats come last"])
+def test_px4_would_give_itself_back_to_a_stream(sitl, fly, bridge_config, tmp_path, monkeypatch, dead_s, silent_s):
+    """The stream was lost, the failsafe flies home, the link is back: nothing is sent, so OFFBOARD stays left."""
+    cut = Cut(dead_s, silent_s)
+    monkeypatch.setattr(node, "Link", partial(Link, tamper_in=cut.inward, tamper_out=cut.outward))
 
     def decide(opened):
-        nonlocal cut
-        cut = 3 <= opened.slot < 5
+        if opened.slot == 3:
+            cut.since_s = opened.time_s
         return (0.2, 0.0, 0.0)
 
-    monkeypatch.setattr(node, "Link", partial(Link, tamper_in=spoilt, tamper_out=spoilt))
     flight = fly(bridge_config(sitl("--lockstep"), slots=300), decide, tlog=tmp_path / "flight.tlog")
     assert flight.wait() == 3
     assert any("telemetry is back" in text for text in flight.told("stall"))
