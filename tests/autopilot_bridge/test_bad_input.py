@@ -118,8 +118,9 @@ class Place:
 
 @pytest.fixture
 def impatient(monkeypatch):
-    """Of a link on which nobody ever answers."""
+    """Of a link on which nobody ever answers, and of a vehicle that never knows where it is."""
     monkeypatch.setattr("autopilot_bridge.mavlink_vehicle.CONNECT_WALL_S", 1.5)
+    monkeypatch.setattr("autopilot_bridge.mavlink_vehicle.ARMABLE_S", 1.5)
 
 
 @pytest.mark.usefixtures("impatient")
