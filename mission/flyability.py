@@ -4,12 +4,12 @@ Three places at the opening of each slot:
 
     commanded   where the plan was at the last opening, and the commanded displacement from there, all of it made within
                 the slot and kept in the scenario's box: the paper's vehicle
-    planned     where the slot profile, after limits and envelope, has the vehicle
+    planned     where the slot profile has the vehicle
     flown       where it was
 
 The commanded and the planned vehicle are level, with the heading that is asked for in their place; their power is that
 of a constant velocity and of the plan. From commanded to planned is lost to limits, from planned to flown to tracking,
-wind and tilt. Users and fading are the same for all three: the world's randomness depends on seed and slot alone.
+wind, tilt and what the envelope took from the setpoints. Users and fading are the same for all three: the world's randomness depends on seed and slot alone.
 """
 
 import math
