@@ -114,7 +114,7 @@ class Helm:
         if self._config.tracking == "none" and self.slots is not None:
             wanted = follow(reference)
         else:
-            wanted = track(reference, position, self._vehicle.dialect.lead_s)
+            wanted = track(reference, position, self._vehicle.dialect.lead_s, self._vehicle.dialect.drag_share)
         endurance = self._config.endurance
         energy_j = None if endurance is None else self.left_j(endurance)
         sent = self._envelope.send(wanted, self._heading(position), position, velocity, self._others(), energy_j)

@@ -17,6 +17,8 @@ from autopilot_bridge.vehicle import Vehicle, VehicleError
 
 TRACKING_HEADROOM = 1.25
 """A vehicle that is behind its plan may be this much faster than plans are, if the autopilot lets it."""
+VERTICAL_SHARE = 0.9
+"""Plans use so much of the autopilot's climb and descent rates at most: who is behind has the rest to catch up."""
 STREAM_LOSS_MAX_S = 10.0
 """For so long a lost stream may at most fly on; PX4 and ArduCopter take 1 and 3 s by default."""
 STREAM_LOSS_MIN_S = 0.25
@@ -133,7 +135,10 @@ def _bounds(config: BridgeConfig, vehicle: Vehicle) -> Bounds:
     dialect = vehicle.dialect
     theirs = {name: _limit(vehicle, limit) * unit for name, (limit, unit) in dialect.limits.items()}
     theirs["acceleration_mps2"] = min(theirs.get("acceleration_mps2", math.inf), _tilted(dialect, vehicle))
-    limits = config.limits.within(**theirs)
+    planned = {
+        name: most * (VERTICAL_SHARE if name in ("up_mps", "down_mps") else 1.0) for name, most in theirs.items()
+    }
+    limits = config.limits.within(**planned)
     speeds = ("horizontal_mps", "up_mps", "down_mps")
     headroom = {name: min(getattr(limits, name) * TRACKING_HEADROOM, theirs[name]) for name in speeds}
     fence = dialect.own_fence(vehicle.parameter)

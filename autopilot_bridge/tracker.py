@@ -1,27 +1,37 @@
 """The tracking law: PX4's own position loop, closed by the bridge so that only velocity and yaw are ever sent.
 
-    v = v_ref + lead * a_ref + K (p_ref - p),    K = 0.95 /s (PX4 MPC_XY_P)
+    v = v_ref + drag * v_ref + lead * a_ref + K (p_ref - p),    K = 0.95 /s (PX4 MPC_XY_P)
 
-`lead` makes up, per axis, for the time in which the autopilot's velocity loop answers (see the dialect). One 3-vector
-to check, one type mask on every autopilot, and a stream that stops really is a vehicle that stops.
+`lead` makes up, per axis, for the time in which the autopilot's velocity loop answers; `drag`, level only, for what it
+falls short of a velocity that is held against the air (see the dialect). One 3-vector to check, one type mask on every
+autopilot, and a stream that stops really is a vehicle that stops.
 """
 
 import math
 
 import numpy as np
 
-from airframe.slot_profile import Reference, Vector
+from airframe.slot_profile import Reference, Vector, triple
 
 POSITION_GAIN = 0.95
 """[1/s]"""
+LEVEL = (1.0, 1.0, 0.0)
 NEAR_M = 2.0
 """A place this near below has no heading worth turning to."""
 
 
-def track(reference: Reference, position: Vector, lead_s: tuple[float, float, float]) -> Vector:
+def track(
+    reference: Reference, position: Vector, lead_s: tuple[float, float, float], drag_share: float = 0.0
+) -> Vector:
     """Velocity setpoint [m/s] for a vehicle at `position` [m]; all in ENU, shape (3,)."""
-    error = reference.position - position
-    return reference.velocity + np.array(lead_s) * reference.acceleration + POSITION_GAIN * error
+    places = zip(triple(reference.position), triple(position), strict=True)
+    moves = zip(triple(reference.velocity), triple(reference.acceleration), lead_s, LEVEL, strict=True)
+    return np.array(
+        [
+            velocity * (1.0 + drag_share * level) + lead * acceleration + POSITION_GAIN * (there - here)
+            for (there, here), (velocity, acceleration, lead, level) in zip(places, moves, strict=True)
+        ]
+    )
 
 
 def follow(reference: Reference) -> Vector:

@@ -23,7 +23,7 @@ from autopilot_bridge.dialects.arducopter import ARDUCOPTER
 from autopilot_bridge.dialects.px4 import PX4
 from autopilot_bridge.envelope import Envelope
 from autopilot_bridge.fence import Fence
-from autopilot_bridge.preflight import TRACKING_HEADROOM
+from autopilot_bridge.preflight import TRACKING_HEADROOM, VERTICAL_SHARE
 from autopilot_bridge.slots import Slots
 from autopilot_bridge.tracker import follow, track
 from bus.messages import Action, FlownSlot
@@ -108,9 +108,11 @@ def random_moves(seed: int, count: int, v_max: float) -> list[tuple[float, float
 def limits_of(name: str, vehicle: Vehicle) -> tuple[Limits, Limits]:
     """Of plans and of setpoints: the defaults, tightened to the autopilot's."""
     theirs = {limit: vehicle.parameters[of] * unit for limit, (of, unit) in DIALECTS[name].limits.items()}
-    limits = Limits().within(**theirs)
-    headroom_mps = min(limits.horizontal_mps * TRACKING_HEADROOM, theirs["horizontal_mps"])
-    return limits, limits.model_copy(update={"horizontal_mps": headroom_mps})
+    vertical = {limit: theirs[limit] * VERTICAL_SHARE for limit in ("up_mps", "down_mps")}
+    limits = Limits().within(**(theirs | vertical))
+    speeds = ("horizontal_mps", "up_mps", "down_mps")
+    headroom = {limit: min(getattr(limits, limit) * TRACKING_HEADROOM, theirs[limit]) for limit in speeds}
+    return limits, limits.model_copy(update=headroom)
 
 
 def envelope_of(name: str, vehicle: Vehicle, fence: Fence) -> Envelope:
@@ -141,7 +143,11 @@ def fly(name: str, moves: list[tuple[float, float, float]], tracking: str = "pos
                 slots.act(action(opened.slot, moves[opened.slot]), time_s)
         slots.sample(time_s, position, velocity)
         reference = slots.reference(time_s)
-        wanted = follow(reference) if tracking == "none" else track(reference, position, DIALECTS[name].lead_s)
+        wanted = (
+            follow(reference)
+            if tracking == "none"
+            else track(reference, position, DIALECTS[name].lead_s, DIALECTS[name].drag_share)
+        )
         envelope.send(wanted, 0.0, position, velocity)
         vehicle.advance(STEP_MS)
         step += 1

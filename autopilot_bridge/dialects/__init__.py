@@ -73,6 +73,8 @@ class Dialect:
     """Setpoints must have streamed for this long before OFFBOARD is asked for."""
     lead_s: tuple[float, float, float]
     """Feed-forward of the reference's acceleration, east, north, up (see `tracker`)."""
+    drag_share: float
+    """Feed-forward of drag: so much more than the reference's level velocity is asked for."""
     reaction_s: float
     """How long a commanded stop takes to bite: the envelope's `reaction_s`."""
     ready: Mode

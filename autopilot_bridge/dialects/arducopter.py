@@ -79,6 +79,7 @@ ARDUCOPTER = Dialect(
     },
     stream_before_offboard_s=0.0,
     lead_s=(0.5, 0.5, 0.3),  # level: WPNAV_ACCEL over PSC_JERK_XY, the shaper's own lag (benchmarks/slot_tracking.py)
+    drag_share=0.0,  # its shaper and integrator make it up; more made tracking worse (benchmarks/slot_tracking.py)
     reaction_s=1.2,
     ready=Mode.OFFBOARD,
     takeoff_altitude=None,

@@ -66,6 +66,7 @@ PX4 = Dialect(
     },
     stream_before_offboard_s=0.2,
     lead_s=(0.8, 0.8, 0.4),
+    drag_share=0.15,  # 15 deg of tilt at 10 m/s over MPC_XY_VEL_P_ACC, 1.8 /s: what its slow integrator is late with
     reaction_s=0.5,
     ready=Mode.HOLD,
     takeoff_altitude="MIS_TAKEOFF_ALT",
