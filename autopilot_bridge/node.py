@@ -1,6 +1,7 @@
 """The bridge node: one vehicle's flight between the bus and the autopilot."""
 
 import contextlib
+import gc
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -77,6 +78,8 @@ def _fly(
         flight = Flight(config, ground, clock, make_vehicle, neighbours.tracks)
         ground.objection = _unless_known(neighbours, ground.objection)
         served.enter_context(ground.served())
+        gc.collect()
+        gc.freeze()  # or going through all that is loaded takes 0.1 s in the middle of some slot
         code = flight.run()
         with contextlib.suppress(LinkError):  # a SITL that is gone needs no farewell
             clock.close(over=flight.down)

@@ -3,7 +3,7 @@
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -361,7 +361,8 @@ def _exit_code(error: Exception) -> int | None:
 
 
 def _fail(text: str, code: int) -> None:
-    print(f"error: {text}", file=sys.stderr, flush=True)
+    with suppress(OSError):  # of a full disk
+        print(f"error: {text}", file=sys.stderr, flush=True)
     raise typer.Exit(code)
 
 

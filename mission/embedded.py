@@ -81,7 +81,7 @@ def command(simulator: Simulator, companion_port: int, seed: int, spacing_m: flo
         *("--launcher", str(os.getpid())),
         *("--seed", str(seed + simulator.place), "--system-id", str(first.vehicle.system_id)),
         *(several if simulator.place or len(simulator.missions) > 1 else ()),
-        *(("--tcp-port", "0") if simulator.place and played.personality == "arducopter" else ()),  # 5760 is the first's
+        *(("--tcp-port", "0") if played.personality == "arducopter" else ()),  # two flights at once are no conflict
         *(
             part
             for name, value in (WITH_FAILSAFES[played.personality] | played.parameters).items()

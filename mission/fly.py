@@ -60,7 +60,7 @@ def fly(mission: Mission | Fleet, console: Console) -> int:
             flight.report()
     if flight.errors:
         raise FlightError(f"{'; '.join(flight.errors)}; logs are in {run / 'logs'}")
-    console.print(f"run folder: {run}", highlight=False, soft_wrap=True)
+    flight.view.note(f"run folder: {run}")
     return code
 
 
@@ -79,8 +79,8 @@ def _interrupts(flight: "_Flight") -> Iterator[None]:
 
 class _Flight:
     def __init__(self, mission: Mission | Fleet, run: Path, console: Console) -> None:
-        self._mission, self._missions, self._run, self._console = mission, missions(mission), run, console
-        self._view = FlightView(console)
+        self._mission, self._missions, self._run = mission, missions(mission), run
+        self.view = FlightView(console)
         self._inbox: queue.SimpleQueue[tuple[VehicleFlight, Item]] = queue.SimpleQueue()
         self._vehicles: list[VehicleFlight] = []
         self._shared: dict[str, Node] = {}
@@ -108,7 +108,7 @@ class _Flight:
         with ExitStack() as stack:
             session = stack.enter_context(open_session(listen=endpoint))
             for mission in self._missions:
-                view = self._view.vehicle(mission.vehicle.name, self._label(mission))
+                view = self.view.vehicle(mission.vehicle.name, self._label(mission))
                 folder = run_folder.vehicle_folder(self._run, self._mission, mission)
                 vehicle = VehicleFlight(mission, folder, session, view, lambda *said: self._inbox.put(said))
                 stack.callback(vehicle.close)
@@ -116,7 +116,7 @@ class _Flight:
             for vehicle in self._vehicles:
                 stack.callback(vehicle.leave)
             stack.callback(self._gather)
-            stack.enter_context(self._view)
+            stack.enter_context(self.view)
             self._start_nodes(endpoint)
             return self._watch()
 
@@ -131,10 +131,10 @@ class _Flight:
             except (OSError, FlightLogError) as error:
                 raise FlightError(f"{vehicle.folder}: no report: {reason(error)}") from error
             if report.slots and not self._several:
-                self._console.print(table(report))
+                self.view.result(table(report))
         if self._several:
             codes = {vehicle.name: vehicle.code for vehicle in self._vehicles}
-            self._console.print(summary(codes, reports))
+            self.view.result(summary(codes, reports))
 
     @property
     def _several(self) -> bool:
@@ -185,7 +185,7 @@ class _Flight:
                 raise FlightError(f"{node.name}: not up after {START_S:g} s ({node.last_words})")
             if not compiling and (what := node.printed("compiling ")) is not None:
                 compiling = True
-                self._view.note(f"{node.name}: compiling {what}")
+                self.view.note(f"{node.name}: compiling {what}")
             self._hear(0.02)
         return line
 
@@ -261,13 +261,13 @@ class _Flight:
     def _interrupted(self) -> bool:
         """Act on Ctrl-C; whether that is the end."""
         if not self._any_started:
-            self._view.note("interrupted before the start")
+            self.view.note("interrupted before the start")
             return True
         if self._obeyed > 1:
             self.abandoned = True
-            self._view.note("Ctrl-C again: the nodes end, the vehicle is left to its autopilot's failsafe")
+            self.view.note("Ctrl-C again: the nodes end, the vehicle is left to its autopilot's failsafe")
             return True
-        self._view.note("Ctrl-C: landing (once more: end now and leave the vehicle to its failsafe)")
+        self.view.note("Ctrl-C: landing (once more: end now and leave the vehicle to its failsafe)")
         flying = [vehicle for vehicle in self._vehicles if vehicle.flying]
         if not flying:
             for vehicle in self._vehicles:
@@ -293,7 +293,7 @@ class _Flight:
                 raise FlightError(told(node))
             how = describe_exit(node.exit_code or 0)
             again = name in ("rf", "agent") and self._mission.restart == "once" and node.starts == 1
-            self._view.note(f"{name}: {how}{', starting it again' if again else ''}")
+            self.view.note(f"{name}: {how}{', starting it again' if again else ''}")
             if again:
                 node.restart()
             else:
@@ -311,7 +311,7 @@ class _Flight:
         if self._preparing is None and self._mission.record.mcap and all(map(_coming_down, self._vehicles)):
             self._preparing = threading.Thread(target=prepare, daemon=True)
             self._preparing.start()
-        self._view.show()
+        self.view.show()
 
 
 def _coming_down(vehicle: VehicleFlight) -> bool:

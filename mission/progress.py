@@ -1,5 +1,7 @@
 """What a mission looks like while it flies: one live panel in a terminal, a few plain lines elsewhere."""
 
+import contextlib
+
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -42,11 +44,18 @@ class FlightView:
     def show(self) -> None:
         """Draw what has come since."""
         if self._live is not None:
-            self._live.update(self._panel(), refresh=True)
+            with contextlib.suppress(OSError):
+                self._live.update(self._panel(), refresh=True)
 
     def note(self, text: str) -> None:
-        """A line worth reading; in a terminal it stays above the panel."""
-        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+        """A line worth reading; in a terminal it stays above the panel. Output that is full or gone ends no flight."""
+        with contextlib.suppress(OSError):
+            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def result(self, table: RenderableType) -> None:
+        """What came of it."""
+        with contextlib.suppress(OSError):
+            self._console.print(table)
 
     def _panel(self) -> RenderableType:
         if len(self._vehicles) == 1:

@@ -77,13 +77,17 @@ class Node:
             return False
         return True
 
+    def kill(self) -> None:
+        """SIGKILL, which a stopped process hears too."""
+        self._process.kill()
+        self._process.wait()
+
     def end(self) -> None:
         """SIGTERM, then SIGKILL; returns when it is gone."""
         if self.running:
             self._process.terminate()
             if not self.wait(TERMINATE_S):
-                self._process.kill()
-                self._process.wait()
+                self.kill()
 
 
 def describe_exit(code: int) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import zenoh
 
 from bus import topics
-from bus.messages import Command, CommandName, LinkReport, MissionEvent, SlotOpened, VehicleState
+from bus.messages import Command, CommandName, LinkReport, MissionEvent, NodeHealth, SlotOpened, VehicleState
 from mission.flight_log import FILE_NAME as LOG_NAME
 from mission.mission_file import Mission
 from mission.progress import VehicleView
@@ -21,13 +21,17 @@ LAST_WORDS_S = 1.0
 """Wall clock in which the last words of a bridge that is gone may still come."""
 COME_DOWN_S = 600.0
 """Wall clock for the vehicle to come down by its failsafe."""
+BRIDGE_SILENT_S = 90.0
+"""Wall clock after which a bridge that says nothing is frozen for good; one that waits for a dead link takes 60 s."""
+OUTLIVED_S = 10.0
+"""The same for one whose embedded autopilot has landed and ended."""
 START_RETRY_S = 0.2
 """Wall clock between two `start` commands, when the first was refused or not answered."""
 LOOP_NODES = ("bridge", "rf", "agent")
 BEFORE_START = ("connecting", "preflight", "ready", "ended")
 """The bridge's phases in which no `start` need have been obeyed."""
 
-Item = VehicleState | SlotOpened | LinkReport | MissionEvent | tuple[str, bool]
+Item = VehicleState | SlotOpened | LinkReport | MissionEvent | NodeHealth | tuple[str, bool]
 
 
 class VehicleFlight:
@@ -66,6 +70,8 @@ class VehicleFlight:
         """The bridge's last words."""
         self._why = ""
         """The last error or failsafe told."""
+        self._bridge_heard_at: float | None = None
+        """When the bridge last said something (monotonic clock); None: not yet."""
         self._bridge_gone_at: float | None = None
         self._down_by: float | None = None
         """Until when its failsafe may take to bring it down, once nobody else does (monotonic clock)."""
@@ -82,6 +88,7 @@ class VehicleFlight:
             topics.subscribe(session, self.name, topics.SLOT, put, refused),
             topics.subscribe(session, self.name, topics.LINK, put, refused),
             topics.subscribe(session, self.name, topics.EVENT, put, refused),
+            topics.subscribe(session, self.name, topics.HEALTH, put, refused),
         ]
 
     @property
@@ -112,6 +119,8 @@ class VehicleFlight:
 
     def take(self, item: Item) -> None:
         """What the bus said."""
+        if _of_bridge(item):
+            self._bridge_heard_at = time.monotonic()
         match item:
             case VehicleState():
                 self.armed, self.phase = item.armed, item.phase
@@ -158,7 +167,10 @@ class VehicleFlight:
     def watch(self) -> None:
         """See whether it is over, and how it ended then; never waits."""
         self._watch_recording()
-        if self.over or self.bridge is None or self.bridge.running:
+        if self.over or self.bridge is None:
+            return
+        if self.bridge.running:
+            self._watch_frozen(self.bridge)
             return
         if self._down_by is not None:
             self._watch_coming_down(self._down_by)
@@ -214,6 +226,15 @@ class VehicleFlight:
         else:
             self._down_by = time.monotonic() + COME_DOWN_S
 
+    def _watch_frozen(self, bridge: Node) -> None:
+        """A bridge that says nothing any more is ended, so that there is an end of the flight."""
+        if self._bridge_heard_at is None:
+            return
+        outlived = self.sitl is not None and self.sitl.exit_code == 0
+        if time.monotonic() > self._bridge_heard_at + (OUTLIVED_S if outlived else BRIDGE_SILENT_S):
+            self.view.note("bridge: does not answer: it is ended")
+            bridge.kill()
+
     def _watch_coming_down(self, until: float) -> None:
         """The embedded autopilot ends by itself once all that it plays have landed."""
         assert self.sitl is not None
@@ -236,6 +257,17 @@ class VehicleFlight:
         if self.recorder is not None and self.recorder.error is not None and not self._recording_stopped:
             self._recording_stopped = True
             self.view.note(f"recording stopped: {reason(self.recorder.error)}")
+
+
+def _of_bridge(item: Item) -> bool:
+    match item:
+        case VehicleState() | SlotOpened():
+            return True
+        case MissionEvent():
+            return item.source == "bridge"
+        case NodeHealth():
+            return item.node == "bridge"
+    return False
 
 
 def told(node: Node) -> str:

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from mission import flight_log
-from mission.fly import fly
+from mission.fly import FlightError, fly
 from mission.mission_file import load
 
 BRIDGE = """
@@ -29,6 +29,9 @@ with open_session(connect=[sys.argv[1]]) as session:
     event = topics.Publisher(session, "star1", topics.EVENT)
     kept = [topics.answer_commands(session, "star1", answer, Counter())]
     kept += [topics.declare_alive(session, "star1", node) for node in ("rf", "agent", "bridge")]
+    if reasons == ["frozen"]:
+        topics.Publisher(session, "star1", topics.HEALTH).send(topics.health("bridge", {}, {}))
+        threading.Event().wait(60)
     started.wait(60)
     event.send(MissionEvent(time_s=0.0, source="bridge", kind="ended", text="exit 0", exit_code=0))
 """
@@ -45,7 +48,8 @@ def refusing(tmp_path, monkeypatch):
             if node != "bridge":
                 return [sys.executable, "-c", "import time; time.sleep(600)"]
             endpoint = options[options.index("--connect") + 1]
-            return [sys.executable, "-c", BRIDGE, endpoint, ",".join([*reasons, ""])]
+            says = ["frozen"] if reasons == ("frozen",) else [*reasons, ""]
+            return [sys.executable, "-c", BRIDGE, endpoint, ",".join(says)]
 
         monkeypatch.setattr("mission.fly.python", stand_in)
         monkeypatch.setattr("mission.fly.GATHER_S", 0.0)  # the others never end by themselves
@@ -64,3 +68,22 @@ def test_a_start_that_is_refused_is_asked_for_again(refusing, tmp_path):
     replies = [entry for entry in flight_log.read(run).entries if entry.topic == "command/reply"]
     assert b'"accepted":true' in replies[-1].payload
     assert [b'"accepted":true' in reply.payload for reply in replies] == [False, False, False, True]
+
+
+def test_a_bridge_that_says_nothing_any_more_is_ended(refusing, monkeypatch):
+    monkeypatch.setattr("mission.vehicle_flight.BRIDGE_SILENT_S", 1.0)
+    console = Console(record=True, width=120)
+    with pytest.raises(FlightError, match="killed by SIGKILL"):
+        fly(refusing("frozen"), console)
+    assert "bridge: does not answer: it is ended" in console.export_text()
+
+
+def test_output_that_cannot_be_written_ends_no_flight(refusing):
+    class Full:
+        def write(self, text):
+            raise OSError(28, "No space left on device")
+
+        def flush(self):
+            raise OSError(28, "No space left on device")
+
+    assert fly(refusing("not yet"), Console(file=Full())) == 0
