@@ -9,7 +9,8 @@ Three places at the opening of each slot:
 
 The commanded and the planned vehicle are level, with the heading that is asked for in their place; their power is that
 of a constant velocity and of the plan. From commanded to planned is lost to limits, from planned to flown to tracking,
-wind, tilt and what the envelope took from the setpoints. Users and fading are the same for all three: the world's randomness depends on seed and slot alone.
+wind, tilt and what the envelope took from the setpoints. Users and fading are the same for all three: the world's
+randomness depends on seed and slot alone.
 """
 
 import math
