@@ -36,6 +36,8 @@ MODE_WAIT_S = 1.5
 """An autopilot that will not send HEARTBEAT faster does so once a second."""
 ASK_S = 0.2
 """How often we ask an autopilot whose mode we doubt, on vehicle time and on the wall clock."""
+REFUSED_S = 3.0
+"""Vehicle time in which a stream of setpoints that has just begun may be refused."""
 SHOWN_S = 6.0
 """Vehicle time in which telemetry must show what was acknowledged."""
 RETRY_S = 0.5
@@ -207,6 +209,18 @@ class MavlinkVehicle(Vehicle):
         if not self._until(there, TAKEOFF_S):
             raise VehicleError(f"takeoff: not at {altitude_m:g} m and holding after {TAKEOFF_S:g} s")
 
+    def set_mode(self, mode: Mode) -> None:
+        """The mode for setpoints is asked for again: one late setpoint, and PX4 says that there is no stream."""
+        begun = self._clock.now
+        while True:
+            try:
+                self._set_mode(mode)
+            except RefusedError:
+                if mode is not Mode.OFFBOARD or self._clock.now - begun > REFUSED_S:
+                    raise
+            else:
+                return
+
     def hear_mode(self) -> None:
         self._until(
             lambda: self.mode_known() and self._clock.now - self._heartbeat_s <= MODE_NEWS_S,
@@ -248,6 +262,10 @@ class MavlinkVehicle(Vehicle):
 
     def _identify(self) -> None:
         """Ask for AUTOPILOT_VERSION, where the library does not by itself; vehicle time goes on by now."""
+
+    @abstractmethod
+    def _set_mode(self, mode: Mode) -> None:
+        """Change mode. Raises RefusedError."""
 
     @abstractmethod
     def _arm(self) -> None:

@@ -103,18 +103,6 @@ class MavsdkVehicle(MavlinkVehicle):
     def disarm(self) -> None:
         self._do("disarm", lambda: not self._telemetry.armed, self._action.disarm)
 
-    def set_mode(self, mode: Mode) -> None:
-        calls = {Mode.LAND: self._action.land, Mode.RETURN: self._action.return_to_launch}
-        if mode is Mode.OFFBOARD and self._wanted_once:
-            calls[mode] = self._offboard.start
-        custom = self.dialect.commands.get(mode, (0.0, 0.0))
-        by_number = (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *custom)
-        self._do(
-            f"mode {mode}",
-            lambda: self._telemetry.mode is mode,
-            calls.get(mode, lambda: self._command(*by_number)),
-        )
-
     def parameter(self, name: str) -> float:
         try:
             value = float(self._ask(lambda: self._param.get_param_int(name)))
@@ -159,6 +147,18 @@ class MavsdkVehicle(MavlinkVehicle):
         for message_id, rate_hz in self.dialect.rates_hz.items():
             with contextlib.suppress(MavsdkError):  # what it does not have it need not send
                 self._ask(partial(self._command, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz))
+
+    def _set_mode(self, mode: Mode) -> None:
+        calls = {Mode.LAND: self._action.land, Mode.RETURN: self._action.return_to_launch}
+        if mode is Mode.OFFBOARD and self._wanted_once:
+            calls[mode] = self._offboard.start
+        custom = self.dialect.commands.get(mode, (0.0, 0.0))
+        by_number = (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *custom)
+        self._do(
+            f"mode {mode}",
+            lambda: self._telemetry.mode is mode,
+            calls.get(mode, lambda: self._command(*by_number)),
+        )
 
     def _arm(self) -> None:
         self._do("arm", lambda: self._telemetry.armed, self._action.arm)

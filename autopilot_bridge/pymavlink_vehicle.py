@@ -80,20 +80,6 @@ class PymavlinkVehicle(MavlinkVehicle):
     def disarm(self) -> None:
         self._command("disarm", lambda: not self._telemetry.armed, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)
 
-    def set_mode(self, mode: Mode) -> None:
-        command: tuple[float, ...]
-        if mode is Mode.LAND:
-            command = (mavlink.MAV_CMD_NAV_LAND, 0, 0, 0, math.nan, math.nan, math.nan, math.nan)
-        elif mode is Mode.RETURN:
-            command = (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,)
-        else:
-            command = (
-                mavlink.MAV_CMD_DO_SET_MODE,
-                mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
-                *self.dialect.commands[mode],
-            )
-        self._command(f"mode {mode}", lambda: self._telemetry.mode is mode, *command)
-
     def parameter(self, name: str) -> float:
         return self._read(name)[0]
 
@@ -163,6 +149,20 @@ class PymavlinkVehicle(MavlinkVehicle):
             self._send_command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
             if self._until(lambda: bool(self.hardware_uid), RETRY_S):
                 return
+
+    def _set_mode(self, mode: Mode) -> None:
+        command: tuple[float, ...]
+        if mode is Mode.LAND:
+            command = (mavlink.MAV_CMD_NAV_LAND, 0, 0, 0, math.nan, math.nan, math.nan, math.nan)
+        elif mode is Mode.RETURN:
+            command = (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,)
+        else:
+            command = (
+                mavlink.MAV_CMD_DO_SET_MODE,
+                mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
+                *self.dialect.commands[mode],
+            )
+        self._command(f"mode {mode}", lambda: self._telemetry.mode is mode, *command)
 
     def _arm(self) -> None:
         self._command("arm", lambda: self._telemetry.armed, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)

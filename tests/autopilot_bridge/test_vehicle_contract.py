@@ -47,6 +47,8 @@ class Pilot:
         self.clock = Paced(speed, 50)
         self.stream = None
         """Velocity (ENU) and yaw to send at every step."""
+        self.stream_from = 0.0
+        """Vehicle time before which nothing is sent."""
         self.steps = 0
         self.vehicle = BACKENDS[backend](self.link, dialects("auto"), 1, self.clock, self.step)
 
@@ -57,7 +59,7 @@ class Pilot:
     def step(self):
         if self.steps % 20 == 0:
             self.vehicle.beat()
-        if self.stream is not None:
+        if self.stream is not None and self.clock.now >= self.stream_from:
             self.vehicle.send_velocity(np.array(self.stream[0]), self.stream[1])
         self.clock.step(self.vehicle)
         self.steps += 1
@@ -221,6 +223,19 @@ def test_a_stream_that_stops_stops_at_once_and_the_autopilot_acts(pair):
     else:  # GUID_TIMEOUT
         assert pair.until(lambda: np.linalg.norm(pair.velocity) < 0.3, 8)
         assert pair.telemetry.mode is Mode.OFFBOARD
+
+
+def test_a_stream_that_has_only_just_begun_is_not_refused_for_good(pair):
+    """What a stall of ours looks like to PX4. ArduCopter wants no stream."""
+    pair.aloft()
+    pair.stream = None
+    pair.vehicle.set_mode(Mode.HOLD)
+    pair.run(4.0)
+    pair.stream, pair.stream_from = ((0.0, 0.0, 0.0), 0.0), pair.clock.now + 1.0
+    pair.vehicle.set_mode(Mode.OFFBOARD)
+    assert pair.telemetry.mode is Mode.OFFBOARD
+    pair.run(1.0)
+    assert pair.telemetry.mode is Mode.OFFBOARD
 
 
 def test_holds_where_it_is(pair):
