@@ -16,7 +16,7 @@ ALLOWED_S = 1.5
     ("fault", "personality", "dead_s", "slots"),
     [
         ("link dead 3 s", "px4", 3, 1000),
-        ("link dead 3 s (ArduCopter)", "arducopter", 3, 15),
+        ("link dead 3 s, GUIDED", "arducopter", 3, 15),
         *(("link dead 10 s", personality, 10, 1000) for personality in BOTH),
         *(("link dead 60 s", personality, 60, 1000) for personality in BOTH),
     ],

@@ -27,14 +27,14 @@ def test_mavlink_restarts(fly, bridge_config, tmp_path, personality):
 
 
 def test_clock_jumps_back(fly, bridge_config, tmp_path):
-    with relayed_case("autopilot's clock jumps 5 s back", "px4", fly, bridge_config, tmp_path) as (case, relay):
+    with relayed_case("clock jumps 5 s back", "px4", fly, bridge_config, tmp_path) as (case, relay):
         fault_s = case.witness.last.time_s
         relay.jump(-5.0)
         case.judge(fault_s)
 
 
 def test_clock_jumps_ahead(fly, bridge_config, tmp_path):
-    with relayed_case("autopilot's clock jumps 5 s ahead", "px4", fly, bridge_config, tmp_path, slots=20) as (
+    with relayed_case("clock jumps 5 s ahead", "px4", fly, bridge_config, tmp_path, slots=20) as (
         case,
         relay,
     ):

@@ -21,7 +21,7 @@ def test_killed(launch, short, node):
 
 @pytest.mark.parametrize("node", ["agent", "rf"])
 def test_killed_for_good(launch, short, node):
-    with Launched(f"{node} killed, not to be started again", launch, short, restart="never") as case:
+    with Launched(f"{node} killed, not started again", launch, short, restart="never") as case:
         case.until_slot(FROM_SLOT)
         case.begin(node)
         log = case.judge()

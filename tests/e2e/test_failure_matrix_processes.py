@@ -1,48 +1,11 @@
-"""The failure matrix's rows of a bridge that is killed or frozen, of a killed mission, of a full disk."""
+"""The failure matrix's rows of a killed mission process and of a full disk."""
 
 import resource
-import signal
 
-import pytest
-
-from tests.failure_matrix.case import SETPOINT
-from tests.failure_matrix.launched import PACED, RETURNING, Launched
-from tests.failure_matrix.rows import BOTH
+from tests.failure_matrix.launched import Launched
 
 FROM_SLOT = 2
 SLOTS = 15
-FROZEN_S = 10.0
-
-
-@pytest.mark.parametrize("personality", BOTH)
-def test_bridge_killed(launch, short, personality):
-    with Launched("bridge killed", launch, short, personality) as case:
-        case.until_slot(FROM_SLOT)
-        case.begin("bridge")
-        case.judge()
-        assert "bridge: killed by SIGKILL; the autopilot's failsafe brings the vehicle down" in case.flight.text
-
-
-@pytest.mark.parametrize("personality", BOTH)
-def test_bridge_frozen(launch, short, personality):
-    with Launched("bridge frozen", launch, short, personality, **PACED) as case:
-        case.until_slot(FROM_SLOT)
-        case.begin("bridge", signal.SIGSTOP)
-        case.judge()
-
-
-@pytest.mark.parametrize("personality", BOTH)
-def test_bridge_frozen_and_back(launch, short, personality):
-    with Launched("bridge frozen for 10 s", launch, short, personality, **PACED) as case:
-        case.until_slot(FROM_SLOT)
-        case.begin("bridge", signal.SIGSTOP)
-        woken = case.witness.until(lambda sight: sight.time_s > case.fault_s + FROZEN_S, "10 s")
-        case.flight.signal("bridge", signal.SIGCONT)
-        case.judge()
-        # What it sent before it was stopped has stamps of then.
-        late = [f.time_boot_ms / 1000 for f in case.frames if f.get_type() == SETPOINT]
-        assert not [time_s for time_s in late if time_s > case.fault_s + 1.0]
-        assert woken.custom_mode == RETURNING[personality]
 
 
 def test_mission_killed(launch, short):
