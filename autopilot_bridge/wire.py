@@ -242,7 +242,10 @@ class TcpStream:
     def read(self, timeout_s: float) -> bytes:
         if not _ready(self._socket, self._bell, timeout_s):
             return b""
-        data = self._socket.recv(CHUNK)
+        try:
+            data = self._socket.recv(CHUNK)
+        except BlockingIOError:  # select may be wrong
+            return b""
         if not data:
             raise ConnectionResetError("closed by the other end")
         return data
