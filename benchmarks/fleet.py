@@ -116,6 +116,7 @@ def main() -> None:
     flown = sum(outcomes.values())
     print(f"exit {code}; {flown} of {given.vehicles * given.slots} slots: {dict(outcomes)}")
     print(f"missed or late: {outcomes['missing'] + outcomes['late'] + outcomes['rejected']}; steps skipped: {skipped}")
+    print(f"load after: {os.getloadavg()[0]:.2f}")
     p50, p99, most = np.percentile(took_ms, [50, 99, 100])
     print(f"slot opened to action on the bus: median {p50:.0f} ms, p99 {p99:.0f} ms, longest {most:.0f} ms")
     report(samples, first, last)

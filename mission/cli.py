@@ -280,13 +280,22 @@ def train(
 
 @app.command()
 def report(run: RunArgument) -> None:
-    """Write report.json and report.png of a run folder again, and print the table."""
+    """Write report.json and report.png of a run folder again, and print the table.
+
+    Of several vehicles, those of each, and a line for each.
+    """
     with _one_line_errors():
         from rich.console import Console
 
         from mission.report import table, write
+        from mission.run_folder import recorded
+        from mission.summary import summary
 
-        Console().print(table(write(run)))
+        reports = {folder.name: write(folder) for folder in recorded(run)}
+        if recorded(run) == [run]:
+            Console().print(*map(table, reports.values()))
+        else:
+            Console().print(summary({name: one.exit_code for name, one in reports.items()}, reports))
 
 
 @app.command()

@@ -45,7 +45,7 @@ class FlightView:
         """Draw what has come since."""
         if self._live is not None:
             with contextlib.suppress(OSError):
-                self._live.update(self._panel(), refresh=True)
+                self._live.update(self.panel(), refresh=True)
 
     def note(self, text: str) -> None:
         """A line worth reading; in a terminal it stays above the panel. Output that is full or gone ends no flight."""
@@ -57,7 +57,8 @@ class FlightView:
         with contextlib.suppress(OSError):
             self._console.print(table)
 
-    def _panel(self) -> RenderableType:
+    def panel(self) -> RenderableType:
+        """All that is known: of one vehicle in full, of several a line each."""
         if len(self._vehicles) == 1:
             (only,) = self._vehicles.values()
             return only.panel()

@@ -10,6 +10,7 @@ from importlib.metadata import distribution, version
 from pathlib import Path
 
 from mission.fleet import Fleet
+from mission.flight_log import FILE_NAME as LOG_NAME
 from mission.mission_file import Mission, MissionError, Shared, dump
 
 MISSION_NAME = "mission.yaml"
@@ -47,6 +48,12 @@ def make(mission: Mission | Fleet) -> Path:
 def vehicle_folder(run: Path, mission: Mission | Fleet, vehicle: Mission) -> Path:
     """Where a vehicle's recordings and report lie: the run folder, or one in it when there are several."""
     return run / vehicle.vehicle.name if isinstance(mission, Fleet) else run
+
+
+def recorded(run: Path) -> list[Path]:
+    """The folders with a recording: the run folder itself, or its vehicles' when there are several."""
+    vehicles = sorted(log.parent for log in run.glob(f"*/{LOG_NAME}"))
+    return vehicles if vehicles and not (run / LOG_NAME).exists() else [run]
 
 
 def _new_folder(output: Path, base: str) -> Path:

@@ -1,14 +1,17 @@
 """A mission of several vehicles: each gets a mission of its own, and every mistake is told in one line."""
 
+import io
 import queue
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from rich.console import Console
 
 from bus import topics
 from bus.messages import MissionEvent
@@ -18,6 +21,7 @@ from mission.embedded import command, free_udp_ports, simulators
 from mission.fleet import check, load, missions, one_of, served
 from mission.mission_file import Mission, MissionError, dump
 from mission.mission_file import load as load_one
+from mission.progress import FlightView
 from mission.recorder import Recorder
 from rf_model.seeding import vehicle_seeds
 from sitl.origin import Origin
@@ -224,37 +228,73 @@ def test_the_run_folder_has_one_for_each_vehicle(mission, tmp_path):
     assert run_folder.vehicle_folder(run, single, single) == run
 
 
+def test_the_recordings_of_a_run_are_its_own_or_its_vehicles(tmp_path):
+    assert run_folder.recorded(tmp_path) == [tmp_path]
+    for name in ("b", "a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / flight_log.FILE_NAME).touch()
+    (tmp_path / "logs").mkdir()
+    assert run_folder.recorded(tmp_path) == [tmp_path / "a", tmp_path / "b"]
+    (tmp_path / flight_log.FILE_NAME).touch()
+    assert run_folder.recorded(tmp_path) == [tmp_path]
+
+
+def test_in_a_terminal_each_vehicle_is_a_row(flight):
+    console = Console(record=True, force_terminal=True, width=160, file=io.StringIO())
+    view = FlightView(console)
+    vehicles = {name: view.vehicle(name, f"{name}: ") for name in ("a", "b")}
+    handlers = {"event": "event", "state": "state", "slot": "slot", "rf/link": "link"}
+    for topic, message in flight:
+        if topic in handlers:
+            getattr(vehicles["a"], handlers[topic])(message)
+    vehicles["b"].note("not heard")
+    console.print(view.panel())
+    rows = {line.split()[0]: line for line in console.export_text().splitlines() if line.strip()}
+    assert "b: not heard" in rows["b:"]
+    assert "5 of 5" in rows["a"]
+    assert "OFFBOARD" in rows["a"]
+    assert "90%" in rows["a"]
+    assert "1000" in rows["a"]
+    assert rows["b"].split() == ["b", "starting"]
+
+
 def test_several_recordings_in_one_process_do_not_wait_for_each_other(tmp_path):
     endpoint, names, each = free_endpoint(), ["a", "b", "c", "d"], 300
-    with open_session(listen=endpoint) as session, open_session(connect=[endpoint]) as sender:
-        recorders = [Recorder(session, name, tmp_path / f"{name}.mcap") for name in names]
-        alive = queue.SimpleQueue()
-        watch = [topics.watch_alive(session, name, lambda *heard: alive.put(heard)) for name in names]
-        tokens = [topics.declare_alive(sender, name, "bridge") for name in names]
-        for _ in names:
-            alive.get(timeout=20)  # both ends know each other now
+    for name in names:
+        (tmp_path / name).mkdir()
 
-        def send(name):
-            event = topics.Publisher(sender, name, topics.EVENT)
-            for number in range(each):
-                event.send(MissionEvent(time_s=float(number), source="t", kind="t", text="x" * 500))
+    def recorded(name):
+        return [event.time_s for event in flight_log.read(tmp_path / name).messages(topics.EVENT)]
 
-        threads = [threading.Thread(target=send, args=(name,)) for name in names]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        for name in names:  # all is there once a reply of the same session is
-            list(session.get(topics.key(name, "none"), timeout=5.0))
+    with open_session(listen=endpoint) as session:
+        recorders = [Recorder(session, name, tmp_path / name / flight_log.FILE_NAME) for name in names]
+        with open_session(connect=[endpoint]) as sender:
+            seen = queue.SimpleQueue()
+            kept = topics.watch_alive(sender, "a", lambda *heard: seen.put(heard))
+            token = topics.declare_alive(session, "a", "mission")
+            seen.get(timeout=20)  # the sender knows this token, so it knows the recorders declared before
+
+            def send(name):
+                event = topics.Publisher(sender, name, topics.EVENT)
+                for number in range(each):
+                    event.send(MissionEvent(time_s=float(number), source="t", kind="t", text="x" * 500))
+
+            threads = [threading.Thread(target=send, args=(name,)) for name in names]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            deadline = time.monotonic() + 20
+            while any(len(recorded(name)) < each - 1 for name in names):  # the last one is written at the end
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
+            kept.undeclare()
+            token.undeclare()
         for recorder in recorders:
             recorder.close()
-        del watch, tokens
     for name in names:
-        (tmp_path / f"run_{name}").mkdir()
-        (tmp_path / f"{name}.mcap").rename(tmp_path / f"run_{name}" / flight_log.FILE_NAME)
-        log = flight_log.read(tmp_path / f"run_{name}")
-        assert log.complete
-        assert [event.time_s for event in log.messages(topics.EVENT)] == list(range(each))
+        assert flight_log.read(tmp_path / name).complete
+        assert recorded(name)[: each - 1] == list(range(each - 1))
 
 
 @pytest.mark.parametrize(
