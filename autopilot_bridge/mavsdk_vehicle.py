@@ -40,6 +40,7 @@ from autopilot_bridge.link import OWN_SYSTEM, Link
 from autopilot_bridge.mavlink_vehicle import RETRY_S, SHOWN_S, MavlinkVehicle
 from autopilot_bridge.uploaded_fence import FenceItem
 from autopilot_bridge.vehicle import Mode, RefusedError, VehicleError
+from autopilot_bridge.wire import header
 
 DISCOVERY_WALL_S = 5.0
 SETPOINT_WALL_S = 0.02
@@ -218,8 +219,12 @@ class MavsdkVehicle(MavlinkVehicle):
 
     def _hand_over(self, frame: bytes) -> None:
         self._outbox.append((time.monotonic(), frame))
-        if _message_id(frame) == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
+        if self._is_setpoint(frame) and frame[VELOCITY] == self._wanted:  # not a repeat, that came in between
             self._handed_over.set()
+
+    @staticmethod
+    def _is_setpoint(frame: bytes) -> bool:
+        return bool(header(frame)[2] == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
 
     def _flush(self) -> None:
         while self._outbox:
@@ -227,7 +232,7 @@ class MavsdkVehicle(MavlinkVehicle):
             if time.monotonic() - since > STALE_WALL_S:
                 self.counters["stale_dropped"] += 1
                 continue
-            if _message_id(frame) == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
+            if self._is_setpoint(frame):
                 if frame[VELOCITY] != self._wanted:
                     self.counters["repeats_dropped"] += 1
                     continue
@@ -246,7 +251,3 @@ def _silence() -> None:
 
 def _result(error: MavsdkError) -> str:
     return str(error.args[0].name) if error.args else str(error)
-
-
-def _message_id(frame: bytes) -> int:
-    return int.from_bytes(frame[7:10], "little")
