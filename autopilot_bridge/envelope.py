@@ -20,8 +20,9 @@ the whole triangle, since it has no holes.
 Vehicles differ in how they share out acceleration between level and vertical: some turn the velocity straight to the
 command, some do both axes at once and are there sooner. Both are looked at; stops are the straight one's, the longer.
 
-A vehicle that is outside already may do what brings its stop back. One that cannot stop inside any more (wind, or an
-autopilot slower than its limits) is called back, since real velocity loops are slow to forget what they held against.
+A vehicle that is outside already may do what takes it, and its stop, no further out. One that cannot stop inside any
+more (wind, or an autopilot slower than its limits) is called back, since real velocity loops are slow to forget what
+they held against.
 """
 
 import math
@@ -44,6 +45,7 @@ BISECTIONS = 12
 HOME = (0.0, 0.0)
 CALL_BACK = 1.0
 """[1/s] Speed inward for each metre that a stop would end outside."""
+ROUNDING_M = 1e-9
 WALLS = 3
 """A command slides along so many walls at most before all of it is shortened."""
 
@@ -257,14 +259,13 @@ class _Step:
         low, high = envelope.fence.altitude
         here = max(low - self._position[2], self._position[2] - high)
         for way in self._ways(command):
-            path, (east, north, up) = [(x, y) for x, y, _ in way], way[-1]
+            path, (east, north, _) = [(x, y) for x, y, _ in way], way[-1]
             for name, bound in bounds:
                 if not self._kept(bound, path):
                     yield name, partial(bound.wall, path[-3:])
             if not self._level:
                 heights = [z for _, _, z in way]
-                over = max(low - min(heights), max(heights) - high)
-                if over > TOUCH_M and (here <= TOUCH_M or max(low - up, up - high) > here):
+                if max(low - min(heights), max(heights) - high) > max(here + ROUNDING_M, TOUCH_M):
                     yield "altitude", lambda: (0.0, 0.0)
             if looks_at_energy and self._spends_too_much(way[-1]):
                 yield "energy", partial(unit, east, north)
@@ -273,7 +274,7 @@ class _Step:
         if bound.holds(path):
             return True
         here = bound.beyond_m([self._position[:2]])
-        return here > TOUCH_M and bound.beyond_m(path[-1:]) <= here  # on its way back
+        return here > TOUCH_M and bound.holds(path, here + ROUNDING_M)  # on its way back, and never further out
 
     def _spends_too_much(self, stop: Triple) -> bool:
         """Whether the way home from `stop` costs more than is left, and more than from here."""

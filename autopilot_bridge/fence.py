@@ -40,8 +40,8 @@ APART_M = 0.01
 class Bound(Protocol):
     """What in plan must not be left."""
 
-    def holds(self, path: Path) -> bool:
-        """Whether all of it is inside."""
+    def holds(self, path: Path, slack_m: float = TOUCH_M) -> bool:
+        """Whether all of it is inside, or no further outside than that."""
 
     def beyond_m(self, path: Path) -> float:
         """How far its furthest corner is outside [m]; 0 inside."""
@@ -130,8 +130,8 @@ class Box(Strict):
         """With room for the way between home and the box."""
         return self.hull((-HOME_M, -HOME_M, -1.0)).hull((HOME_M, HOME_M, 0.0))
 
-    def holds(self, path: Path) -> bool:
-        return self.beyond_m(path) <= TOUCH_M
+    def holds(self, path: Path, slack_m: float = TOUCH_M) -> bool:
+        return self.beyond_m(path) <= slack_m
 
     def beyond_m(self, path: Path) -> float:
         (west, east), (south, north) = self.x, self.y
@@ -160,8 +160,8 @@ class Cylinder(Strict):
     def down_to_home(self) -> "Cylinder":
         return self.model_copy(update={"altitude": _to_the_ground(self.altitude)})
 
-    def holds(self, path: Path) -> bool:
-        return self.beyond_m(path) <= TOUCH_M
+    def holds(self, path: Path, slack_m: float = TOUCH_M) -> bool:
+        return self.beyond_m(path) <= slack_m
 
     def beyond_m(self, path: Path) -> float:
         return max(0.0, max([math.dist(point, self.centre) for point in path]) - self.radius)
@@ -182,9 +182,9 @@ class Polygon(Strict):
     def down_to_home(self) -> "Polygon":
         return self.model_copy(update={"altitude": _to_the_ground(self.altitude)})
 
-    def holds(self, path: Path) -> bool:
+    def holds(self, path: Path, slack_m: float = TOUCH_M) -> bool:
         vicinity = self.near(path[0], max([math.dist(path[0], point) for point in path]))
-        return vicinity is None or vicinity.holds(path)
+        return vicinity is None or vicinity.holds(path, slack_m)
 
     def beyond_m(self, path: Path) -> float:
         return max([0.0 if self._inside(point) else min(self._distances_m(point)) for point in path])
@@ -194,7 +194,8 @@ class Polygon(Strict):
         return _wall(self._sides, path)
 
     def near(self, place: Point, radius_m: float) -> "_Vicinity | None":
-        inside, radius_m = self._inside(place), radius_m + TOUCH_M
+        inside = self._inside(place)
+        radius_m += TOUCH_M if inside else min(self._distances_m(place)) + TOUCH_M
         sides = [side for side in self._sides if side.touches(place, place, 2 * radius_m)]
         return None if inside and not sides else _Vicinity(self, sides, radius_m, inside)
 
@@ -279,32 +280,33 @@ class _Side(NamedTuple):
 
 
 class _Vicinity(NamedTuple):
-    """A polygon as it looks to paths that stay within `radius_m` of a place."""
+    """A polygon as it looks to paths that stay near a place."""
 
     polygon: Polygon
     sides: list[_Side]
     """All that are nearer to the place than twice as far, and perhaps others."""
     radius_m: float
+    """How near; when the place is outside, and how far outside it is."""
     inside: bool
     """Whether the place is."""
 
-    def holds(self, path: Path) -> bool:
+    def holds(self, path: Path, slack_m: float = TOUCH_M) -> bool:
         """Every segment is cut where it meets a side; each piece is inside if its middle is."""
-        if len(path) == 1:
-            return self._keeps(path[0])
         xs, ys = [x for x, _ in path], [y for _, y in path]
         low, high = (min(xs), min(ys)), (max(xs), max(ys))
         met = [side for side in self.sides if side.touches(low, high, TOUCH_M)]
-        if not met:
-            return self._keeps(path[0])
+        if len(path) == 1 or (slack_m <= TOUCH_M and not met):
+            return self._keeps(path[0], slack_m)
+        if slack_m > TOUCH_M and not all(self._keeps(corner, slack_m) for corner in path):
+            return False
         for p, q in pairwise(path):
             cuts = sorted([0.0, *[share for side in met if (share := side.meeting(p, q)) is not None], 1.0])
             for first, last in pairwise(cuts):
                 middle = (first + last) / 2
-                if last - first > 1e-12 and not self._keeps(
-                    (p[0] + middle * (q[0] - p[0]), p[1] + middle * (q[1] - p[1]))
-                ):
-                    return False
+                if last - first > 1e-12:
+                    point = p[0] + middle * (q[0] - p[0]), p[1] + middle * (q[1] - p[1])
+                    if not self._keeps(point, slack_m):
+                        return False
         return True
 
     def beyond_m(self, path: Path) -> float:
@@ -316,14 +318,14 @@ class _Vicinity(NamedTuple):
     def near(self, place: Point, radius_m: float) -> "_Vicinity | None":
         return self.polygon.near(place, radius_m)
 
-    def _keeps(self, point: Point) -> bool:
+    def _keeps(self, point: Point, slack_m: float) -> bool:
         """By the side that is nearest. Where none is within the radius, there is none between it and the place."""
         nearest, least = math.inf, math.inf
         for side in self.sides:
             beyond_m = side.beyond_m(point)
             if abs(beyond_m) < least:
                 nearest, least = beyond_m, abs(beyond_m)
-        return self.inside if least > self.radius_m else nearest <= TOUCH_M
+        return self.inside if least > self.radius_m else nearest <= slack_m
 
 
 def _wall(sides: Sequence[_Side], path: Path) -> Point:

@@ -38,8 +38,8 @@ class HalfPlane:
     through: Point
     outward: Point
 
-    def holds(self, path: Path) -> bool:
-        return self.beyond_m(path) <= TOUCH_M
+    def holds(self, path: Path, slack_m: float = TOUCH_M) -> bool:
+        return self.beyond_m(path) <= slack_m
 
     def beyond_m(self, path: Path) -> float:
         (x, y), (nx, ny) = self.through, self.outward

@@ -24,6 +24,9 @@ NOTCH = ((-30, -30), (30, -30), (30, 30), (0.2, 30), (0, -20), (-0.2, 30), (-30,
 """A slit of 0.4 m reaches deep into it."""
 SPIKES = ((0, 0), (20, 1), (40, 0), (39, 20), (40, 40), (21, 12), (19, 39), (0, 40), (8, 22))
 CLOCKWISE = ELL[::-1]
+STRAIGHT_ON = ((0, 0), (10, 0), (20, 0), (40, 0), (40, 20), (40, 40), (20, 40), (20, 20), (0, 20))
+"""Corners on straight sides."""
+AISLE = ((-40, 0), (40, 0), (40, 0.3), (-40, 0.3))
 
 
 def winding_number(point, vertices):
@@ -70,7 +73,7 @@ def stars(draw):
     return tuple((r * math.cos(a), r * math.sin(a)) for r, a in zip(radii, angles, strict=True))
 
 
-polygons = st.sampled_from([SQUARE, ELL, NOTCH, SPIKES, CLOCKWISE]) | stars()
+polygons = st.sampled_from([SQUARE, ELL, NOTCH, SPIKES, CLOCKWISE, STRAIGHT_ON, AISLE]) | stars()
 fences = (
     st.builds(Polygon, polygon=polygons, altitude=st.just(BAND))
     | st.builds(Cylinder, centre=st.just((5.0, -3.0)), radius=st.floats(3, 40), altitude=st.just(BAND))
@@ -115,7 +118,7 @@ def places(draw):
     return fence, position + steps[int(share * max(reach - 1, 0))]
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(places(), arrays(float, 3, elements=st.floats(-8, 8)), sequences, st.sampled_from([0.0, 0.5]), st.booleans())
 def test_from_a_state_that_can_stop_inside_no_commands_lead_out(placed, velocity, sequence, reaction_s, shares_out):
     fence, position = placed
@@ -187,6 +190,15 @@ def test_slides_along_a_slanting_or_round_wall(fence):
         position = track[-1]
         assert inside(fence, position, SLACK_M)
     assert travelled > 8.0
+
+
+def test_a_vehicle_a_hair_outside_may_not_go_further_out_on_its_way_to_the_other_side():
+    """At the slit's wall, with a stop beyond the slit: the way there is 0.2 m outside."""
+    gate = Envelope(LIMITS, Polygon(polygon=NOTCH, altitude=BAND), 0.0, STEP_S, lambda velocity, yaw: None)
+    wall = -0.2 * (20 + 20) / 50
+    sent = gate.clip(np.array([1.5, 0.0, 0.0]), np.array([wall + 2e-5, 20.0, 20.0]), np.array([1.5, 0.0, 0.0]))
+    assert sent.reasons == ("fence",)
+    assert sent.velocity[0] <= 0.0
 
 
 def test_a_slit_is_not_jumped_over():

@@ -4,38 +4,58 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from airframe.slot_profile import brake
 from autopilot_bridge.config import Limits
 from autopilot_bridge.fence import Box
 from autopilot_bridge.plan import plan_slot
 
 BOX = Box(x=(-100, 100), y=(-100, 100), z=(30, 120))
 LIMITS = Limits(horizontal_mps=10, up_mps=3, down_mps=1.5, acceleration_mps2=3)
+JERKY = Limits(
+    horizontal_mps=10,
+    up_mps=2.5,
+    down_mps=1.5,
+    acceleration_mps2=2.5,
+    vertical_acceleration_mps2=1.0,
+    jerk_mps3=5.0,
+)
+"""ArduCopter's."""
 moves = arrays(float, 3, elements=st.floats(-6, 6))
 
 
-def fly(start, sequence, slot_s=1.0, reaction_s=0.25):
+def fly(start, sequence, slot_s=1.0, reaction_s=0.25, limits=LIMITS):
     """References of a whole flight, 50 per slot, and the plans."""
-    position, velocity = np.array(start, float), np.zeros(3)
+    position, velocity, acceleration = np.array(start, float), np.zeros(3), np.zeros(3)
     track, plans = [], []
     for move in sequence:
-        planned = plan_slot(position, velocity, move, slot_s, LIMITS, BOX, reaction_s)
+        planned = plan_slot(position, velocity, move, slot_s, limits, BOX, reaction_s, acceleration)
         track.append(planned.profile.at(np.linspace(0, slot_s, 51)))
         plans.append(planned)
-        position, velocity, _ = planned.profile.at(slot_s)
+        position, velocity, acceleration = planned.profile.at(slot_s)
     return track, plans
 
 
-@settings(max_examples=30)
+def beyond(points):
+    spans = np.array(BOX.spans)
+    return np.maximum(spans[:, 0] - points, points - spans[:, 1]).max()
+
+
+@settings(max_examples=150, deadline=None)
 @given(
     st.sampled_from([(0, 0, 60), (100, 100, 120), (-100, 30, 30), (99, -99, 31)]),
-    st.lists(moves, min_size=1, max_size=10),
+    st.lists(moves | moves.map(lambda move: 2 * np.abs(move)), min_size=1, max_size=10),
+    st.sampled_from([LIMITS, JERKY]),
+    st.sampled_from([0.4, 1.0]),
 )
-def test_no_action_sequence_takes_the_plan_out_of_the_box(start, sequence):
-    track, _ = fly(start, sequence)
-    points = np.concatenate([slot.position for slot in track])
-    spans = np.array(BOX.spans)
-    assert np.all(points >= spans[:, 0] - 1e-3)
-    assert np.all(points <= spans[:, 1] + 1e-3)
+def test_no_action_sequence_takes_the_plan_or_a_hold_out_of_the_box(start, sequence, limits, slot_s):
+    """A hold that begins at any time up to the next action's deadline."""
+    track, plans = fly(start, sequence, slot_s, 0.25 * slot_s, limits)
+    assert beyond(np.concatenate([slot.position for slot in track])) <= 1e-3
+    for planned in plans:
+        for begin_s in np.linspace(slot_s, 1.25 * slot_s, 8):
+            now = planned.profile.at(begin_s)
+            hold = brake(now.position, now.velocity, limits.agility, now.acceleration)
+            assert beyond(hold.at(np.linspace(0, hold.duration_s, 40)).position) <= 0.01
 
 
 def test_pushing_against_a_wall_ends_at_rest_close_to_it():
