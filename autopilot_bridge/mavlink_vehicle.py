@@ -209,6 +209,12 @@ class MavlinkVehicle(Vehicle):
         if not self._until(there, TAKEOFF_S):
             raise VehicleError(f"takeoff: not at {altitude_m:g} m and holding after {TAKEOFF_S:g} s")
 
+    def parameter(self, name: str) -> float:
+        value = self._parameter(name)
+        if not math.isfinite(value):  # neither to be flown within nor to be put back
+            raise VehicleError(f"parameter {name}: the autopilot says that it is {value:g}")
+        return value
+
     def set_mode(self, mode: Mode) -> None:
         """The mode for setpoints is asked for again: one late setpoint, and PX4 says that there is no stream."""
         begun = self._clock.now
@@ -262,6 +268,10 @@ class MavlinkVehicle(Vehicle):
 
     def _identify(self) -> None:
         """Ask for AUTOPILOT_VERSION, where the library does not by itself; vehicle time goes on by now."""
+
+    @abstractmethod
+    def _parameter(self, name: str) -> float:
+        """Ask for a parameter. Raises VehicleError when it is unknown."""
 
     @abstractmethod
     def _set_mode(self, mode: Mode) -> None:

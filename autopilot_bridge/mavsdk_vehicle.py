@@ -104,18 +104,8 @@ class MavsdkVehicle(MavlinkVehicle):
     def disarm(self) -> None:
         self._do("disarm", lambda: not self._telemetry.armed, self._action.disarm)
 
-    def parameter(self, name: str) -> float:
-        try:
-            value = float(self._ask(lambda: self._param.get_param_int(name)))
-        except ParamError as error:
-            if error.result is not ParamResult.WRONG_TYPE:
-                raise VehicleError(f"parameter {name}: unknown to the autopilot ({error.result.name})") from error
-            return float(self._ask(lambda: self._param.get_param_float(name)))
-        self._whole.add(name)
-        return value
-
     def set_parameter(self, name: str, value: float) -> None:
-        self.parameter(name)
+        self._parameter(name)
         if name in self._whole and value != int(value):
             raise VehicleError(f"parameter {name}: {value:g} is not a whole number, it must be")
         try:
@@ -160,6 +150,16 @@ class MavsdkVehicle(MavlinkVehicle):
             lambda: self._telemetry.mode is mode,
             calls.get(mode, lambda: self._command(*by_number)),
         )
+
+    def _parameter(self, name: str) -> float:
+        try:
+            value = float(self._ask(lambda: self._param.get_param_int(name)))
+        except ParamError as error:
+            if error.result is not ParamResult.WRONG_TYPE:
+                raise VehicleError(f"parameter {name}: unknown to the autopilot ({error.result.name})") from error
+            return float(self._ask(lambda: self._param.get_param_float(name)))
+        self._whole.add(name)
+        return value
 
     def _arm(self) -> None:
         self._do("arm", lambda: self._telemetry.armed, self._action.arm)

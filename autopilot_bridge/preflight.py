@@ -84,7 +84,7 @@ def _own_loss(config: BridgeConfig, vehicle: Vehicle, parameters: FlightParamete
         parameters.set(name, safe[0], why=", with which a vehicle without its bridge neither lands nor returns")
     name, unit = vehicle.dialect.stream_loss
     delay_s = vehicle.parameter(name) * unit
-    if not delay_s <= STREAM_LOSS_MAX_S:
+    if delay_s > STREAM_LOSS_MAX_S:
         raise VehicleError(
             f"offboard_loss is late: {name} is {delay_s:g} s, must be {STREAM_LOSS_MAX_S:g} s at most"
             f"{_way_out('offboard_loss')}"
@@ -157,7 +157,7 @@ def _bounds(config: BridgeConfig, vehicle: Vehicle) -> Bounds:
 def _limit(vehicle: Vehicle, name: str) -> float:
     """A parameter that limits. Raises VehicleError for one with which nothing flies."""
     value = vehicle.parameter(name)
-    if not 0 < value < math.inf:
+    if value <= 0:
         raise VehicleError(f"{name} is {value:g}: must be more than 0 to fly within it")
     return value
 
@@ -165,7 +165,7 @@ def _limit(vehicle: Vehicle, name: str) -> float:
 def _tilted(dialect: Dialect, vehicle: Vehicle) -> float:
     """The horizontal acceleration [m/s2] of a hover tilted as far as the autopilot lets it."""
     tilt_deg = dialect.tilt_max_deg(vehicle.parameter)
-    if not 0 < tilt_deg < math.inf:
+    if tilt_deg <= 0:
         raise VehicleError(f"the autopilot's tilt limit is {tilt_deg:g} deg: must be more than 0 to fly within it")
     return GRAVITY * math.tan(math.radians(min(tilt_deg, 89.0)))
 

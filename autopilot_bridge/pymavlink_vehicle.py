@@ -80,9 +80,6 @@ class PymavlinkVehicle(MavlinkVehicle):
     def disarm(self) -> None:
         self._command("disarm", lambda: not self._telemetry.armed, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)
 
-    def parameter(self, name: str) -> float:
-        return self._read(name)[0]
-
     def set_parameter(self, name: str, value: float) -> None:
         _, kind = self._read(name)
         wire = self._encode(name, value, kind)
@@ -163,6 +160,9 @@ class PymavlinkVehicle(MavlinkVehicle):
                 *self.dialect.commands[mode],
             )
         self._command(f"mode {mode}", lambda: self._telemetry.mode is mode, *command)
+
+    def _parameter(self, name: str) -> float:
+        return self._read(name)[0]
 
     def _arm(self) -> None:
         self._command("arm", lambda: self._telemetry.armed, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)

@@ -178,10 +178,19 @@ READY = {"position": True, "home": (47.0, 8.0)}
     [
         ({"stubborn": True}, {"parameters": {"MPC_XY_VEL_MAX": 6}}, "MPC_XY_VEL_MAX: the autopilot did not take 6"),
         ({"parameters": {"MPC_XY_VEL_MAX": 0}}, {}, "MPC_XY_VEL_MAX is 0: must be more than 0 to fly within it"),
-        ({"parameters": {"MPC_Z_VEL_MAX_DN": math.nan}}, {}, "MPC_Z_VEL_MAX_DN is nan: must be more than 0"),
+        (
+            {"parameters": {"MPC_Z_VEL_MAX_DN": math.nan}},
+            {},
+            "parameter MPC_Z_VEL_MAX_DN: the autopilot says that it is",
+        ),
+        ({"autopilot": COPTER, "parameters": {"FENCE_TYPE": math.nan}}, {}, "parameter FENCE_TYPE: the autopilot says"),
         ({"parameters": {"MPC_TILTMAX_AIR": 0}}, {}, "tilt limit is 0 deg: must be more than 0"),
         ({"autopilot": COPTER, "parameters": {"PSC_JERK_XY": 0}}, {}, "PSC_JERK_XY is 0: must be more than 0"),
-        ({"parameters": {"COM_OF_LOSS_T": math.nan}}, {"allow_without": ["battery_failsafe"]}, "offboard_loss is"),
+        (
+            {"parameters": {"COM_OBL_RC_ACT": 3, "COM_OF_LOSS_T": math.nan}},
+            {"allow_without": ["battery_failsafe"]},
+            "parameter COM_OF_LOSS_T: the autopilot says that it is nan",
+        ),
     ],
 )
 def test_parameters_with_which_nothing_flies_are_told(fly, bridge_config, talk, port, talker, changes, told):
