@@ -210,6 +210,11 @@ class BridgeConfig(Strict):
             raise ValueError(f"start_position_enu: {self.start_position_enu} is outside the box {self.box.spans}")
         if self.fence is not None:
             self._fence_fits(self.fence)
+        top_m = self.slot_fence.altitude[1]
+        if self.takeoff_altitude_m > top_m:
+            raise ValueError(
+                f"takeoff_altitude_m: {self.takeoff_altitude_m:g} is above the fence, which ends at {top_m:g}"
+            )
         furthest = float(np.hypot(*self.box.corners.T).max())
         if self.home_distance_m is not None and self.home_distance_m < furthest:
             raise ValueError(

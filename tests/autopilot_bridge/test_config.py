@@ -41,6 +41,21 @@ def test_the_default_fence_is_the_box_and_a_margin():
         ({"start_position_enu": (0, 0, 10)}, "outside the box"),
         ({"box": {"x": (1, 1), "y": (0, 1), "z": (0, 1)}}, "minimum must be below"),
         ({"fence": {"x": (-100, 100), "y": (-100, 100), "z": (40, 120)}}, "fence.z"),
+        (
+            {"fence": {"polygon": [(-100, -100), (100, -100), (100, 100), (-100, 100)], "altitude": (29, 121)}}
+            | {"box": {"x": (10, 60), "y": (10, 60), "z": (30, 120)}, "start_position_enu": (5, 10, 60)},
+            "outside the box",
+        ),
+        (
+            {"fence": {"polygon": [(5, -100), (5, 100), (110, 100), (110, -100)], "altitude": (29, 121)}}
+            | {"box": {"x": (10, 60), "y": (10, 60), "z": (30, 120)}, "start_position_enu": (10, 10, 60)},
+            r"straight way from home \(0, 0\) to the start \(10, 10\)",
+        ),
+        (
+            {"box": {"x": (-9, 9), "y": (-9, 9), "z": (1, 3)}, "start_position_enu": (0, 0, 2)}
+            | {"takeoff_altitude_m": 8.5},
+            "takeoff_altitude_m: 8.5 is above the fence, which ends at 8",
+        ),
         ({"grace": 3}, "grace"),
         ({"require": ["geofence"], "allow_without": ["geofence"]}, "allow_without: 'geofence' is also in require"),
         ({"allow_without": ["parachute"]}, "battery_failsafe"),
