@@ -23,6 +23,7 @@ def test_frozen(launch, short, node):
         case.flight.signal(node, signal.SIGCONT)
         log = case.judge()
     assert outcomes(log)[-1] == "missing"
+    assert case.stood_still(log)
 
 
 @pytest.mark.parametrize("node", ["agent", "rf"])

@@ -2,7 +2,7 @@
 
 import resource
 
-from tests.failure_matrix.launched import Launched
+from tests.failure_matrix.launched import PACED, Launched
 
 FROM_SLOT = 2
 SLOTS = 15
@@ -23,7 +23,7 @@ def test_mission_killed(launch, short):
 
 def test_disk_full(launch, short):
     """RLIMIT_FSIZE of 0 for every process but the autopilot: no write to any file succeeds any more (EFBIG)."""
-    with Launched("disk full", launch, short, slots=SLOTS) as case:
+    with Launched("disk full", launch, short, slots=SLOTS, **PACED) as case:
         case.until_slot(FROM_SLOT)
         case.fault_s = case.witness.last.time_s
         for pid, command in case.flight.processes().items():

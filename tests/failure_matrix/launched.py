@@ -12,6 +12,7 @@ from tests.failure_matrix.witness import Witness
 PATIENCE_S = 60.0
 FENCE_M = 110.0
 """The short mission's box and 10 m."""
+STOPPED_S, STILL_MPS = 3.0, 0.5
 SPEED = 5.0
 PACED = {"clock": "paced", "speed": SPEED}
 LOW = {  # so that returns are short, and a busy machine's stalls at SPEED do not pass for a lost stream
@@ -76,6 +77,14 @@ class Launched:
         log = self.flight.log
         judge(self.row, self.witness, log, self.frames, FENCE_M, code, self.fault_s)
         return log
+
+    def stood_still(self, log):
+        """Whether it truly stood in the autopilot's hold, until it returned."""
+        rungs = {
+            event.text.split(":")[0]: event.time_s for event in log.messages(topics.EVENT) if event.kind == "ladder"
+        }
+        held = self.witness.since(rungs["HOLD -> HOLD_MODE"] + STOPPED_S)
+        return all(sight.speed_mps < STILL_MPS for sight in held if sight.time_s < rungs["HOLD_MODE -> RETURN"])
 
 
 def outcomes(log):

@@ -62,6 +62,10 @@ class MavlinkRelay:
         with self._lock:
             self._since_ms -= round(seconds * 1000)
 
+    def setpoints_since(self, wall_s):
+        """How many setpoints have come from the bridge since then (monotonic clock)."""
+        return sum(at > wall_s for at in self.setpoints)
+
     def close(self):
         self._over.set()
         self._thread.join()

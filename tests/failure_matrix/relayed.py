@@ -15,6 +15,8 @@ LOW = {  # so that takeoff and return are short
     "px4": {"COM_OF_LOSS_T": LOST_S, "RTL_RETURN_ALT": 8, "RTL_DESCEND_ALT": 5, "COM_LOW_BAT_ACT": 3},
     "arducopter": {"RTL_ALT": 800, "RTL_LOIT_TIME": 0, "BATT_FS_LOW_ACT": 2, "BATT_LOW_VOLT": 10.5},
 }
+ALLOWED_S = 1.5
+"""Vehicle time from a fault to our last setpoint, where one is the last."""
 BOOTED_MS = {"px4": 0, "arducopter": 42_000}
 
 

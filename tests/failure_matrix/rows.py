@@ -43,6 +43,8 @@ class Row:
     told: tuple[tuple[str, str], ...] = ()
     """Events that must be in the MCAP: kind, and what the text holds."""
     personalities: tuple[str, ...] = ("px4",)
+    outside: bool = False
+    """An outside cause, which may take it out of the fence."""
 
     @property
     def markdown(self):
@@ -310,6 +312,7 @@ _TABLE = (
         (3,),
         (("mode", "obeyed"),),
         BOTH,
+        outside=True,
     ),
     Row(
         "battery low",
@@ -330,6 +333,7 @@ _TABLE = (
         (3,),
         (("failsafe", "outside the fence"),),
         BOTH,
+        outside=True,
     ),
     Row(
         "a motor fails",
@@ -340,6 +344,7 @@ _TABLE = (
         (3,),
         (),
         BOTH,
+        outside=True,
     ),
     Row(
         "disk full",
@@ -372,13 +377,14 @@ def judge(row, witness, log, frames, fence_m, code, fault_s):
     end = witness.last
     beats = [frame for frame in frames if frame.get_type() == "HEARTBEAT" and frame.get_srcSystem() == 1]
     down = end.landed and not (end.armed and beats[-1].base_mode & ARMED)
-    inside = max(map(abs, end.position_enu[:2])) <= fence_m
+    furthest = [max(map(abs, sight.position_enu[:2])) for sight in witness.sights]
     found = {
         End.HOME: down and end.from_home_m < HOME_M,
-        End.LANDED: down and inside,
+        End.LANDED: down and furthest[-1] <= fence_m,
         End.DOWN: down,
     }
     assert any(found[wanted] for wanted in row.ends), f"not {row.ends}: {end}; {told}"
+    assert row.outside or max(furthest) <= fence_m, f"{max(furthest):.1f} m out, the fence is at {fence_m:g} m; {told}"
     assert code in row.codes, f"exit {code}; {told}"
     for kind, text in row.told:
         assert any(kind == k and text in t for k, t in told), f"{kind} {text!r} was not told: {told}"
