@@ -92,7 +92,7 @@ def command(simulator: Simulator, companion_port: int, seed: int, spacing_m: flo
 
 def free_udp_ports(count: int) -> int:
     """The first of `count` UDP ports in a row on loopback that were free a moment ago. Raises OSError."""
-    if count == 1:
+    if count <= 1:
         return bindable(0)
     start = BASE_PORT + os.getpid() * TOGETHER % (LAST_PORT - BASE_PORT)  # two launchers do not look in one place
     for first in chain(range(start, LAST_PORT, count), range(BASE_PORT, start, count)):

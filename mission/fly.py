@@ -151,8 +151,9 @@ class _Flight:
         spacing_m = self._mission.vehicles_spacing_m if isinstance(self._mission, Fleet) else 0.0
         ports: dict[str, int] = {}
         played: dict[str, tuple[Simulator, Node]] = {}
+        first_port = free_udp_ports(sum(mission.embedded for mission in self._missions))
         for simulator in simulators(self._missions):
-            first = free_udp_ports(len(simulator.missions))
+            first = first_port + simulator.place
             node = Node(simulator.name, command(simulator, first, self._mission.seed, spacing_m), logs)
             self._shared[simulator.name] = node
             for port, mission in enumerate(simulator.missions, start=first):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 import yaml
@@ -86,6 +87,7 @@ def test_the_resolved_mission_reads_back_as_the_same_one(mission, vehicles, more
         assert load(mission(dump(one))) == one
 
 
+FLEET = Path(__file__).parents[2] / "missions" / "fleet.yaml"
 FOREIGN = "{autopilot: 'udpin://127.0.0.1:1'}"
 
 
@@ -196,6 +198,11 @@ def test_every_vehicle_stands_where_its_place_in_the_list_says(mission):
     assert option(command(first, 20000, 5, 12.0), "--seed") == "5"
     alone = command(simulators((missions(load(mission("{}"))),)[0])[0], 20000, 5, 0.0)
     assert not {"--vehicles", "--home", "--spacing"} & set(alone)
+
+
+def test_the_fleet_mission_is_sound():
+    check(load(FLEET))
+    assert len(simulators(missions(load(FLEET)))) == 1
 
 
 def test_ports_in_a_row_are_free_ones():
