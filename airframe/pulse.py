@@ -116,18 +116,19 @@ class Start:
         There is one, because the peak depends on the ramp continuously and no way is longer than from limit to limit.
         A ramp longer than `within_s` is cut off; by how much [m/s2] is told.
         """
-        longest_s = min(within_s, (math.hypot(*self.acceleration) + self.most) / self.jerk * (1 + 1e-9))
-        if longest_s <= 0.0:
+        longest_s = (math.hypot(*self.acceleration) + self.most) / self.jerk * (1 + 1e-9)
+        if longest_s <= 0.0 or within_s <= 0.0:
             return peak(0.0), 0.0
 
         def early_s(ramp_s: float) -> float:
             return ramp_s - math.dist(peak(ramp_s).peak, self.acceleration) / self.jerk
 
-        missed_s = -early_s(longest_s)
-        if missed_s > 0.0:
-            towards = _sum(peak(longest_s).peak, self.acceleration, -1.0)
-            cut = _sum(self.acceleration, towards, longest_s * self.jerk / math.hypot(*towards))
-            return Pulse(cut, longest_s, 0.0, math.hypot(*cut) / self.jerk), missed_s * self.jerk
+        if within_s < longest_s:
+            longest_s, missed_s = within_s, -early_s(within_s)
+            if missed_s > 0.0:
+                towards = _sum(peak(longest_s).peak, self.acceleration, -1.0)
+                cut = _sum(self.acceleration, towards, longest_s * self.jerk / math.hypot(*towards))
+                return Pulse(cut, longest_s, 0.0, math.hypot(*cut) / self.jerk), missed_s * self.jerk
         return peak(root(early_s, 0.0, longest_s)), 0.0
 
 

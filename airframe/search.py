@@ -4,22 +4,31 @@ from collections.abc import Callable
 
 ROUNDS = 60
 """Most steps of a root search; some eight are needed."""
-TRIALS = 16
-"""Most steps of a share's; some five are needed."""
+TRIALS = 24
+"""Most steps of a share's; some seven are needed."""
 
 
 def root(rising: Callable[[float], float], low: float, high: float) -> float:
-    """A root between `low`, where the function is below zero, and `high`, where it is not (regula falsi, Illinois)."""
-    at_low, at_high = rising(low), rising(high)
+    """A root between `low`, where the function is below zero, and `high`, where it is not (regula falsi, Illinois).
+
+    The first guess is where a slope of 1 leads.
+    """
+    at_low = rising(low)
     if at_low >= 0.0:
         return low
+    guess = min(low - at_low, high)
+    at_guess = rising(guess)
+    if at_guess < 0.0:
+        low, at_low, at_high = guess, at_guess, rising(high)
+    else:
+        high, at_high = guess, at_guess
     side = 0
     for _ in range(ROUNDS):
         if high - low < 1e-12:
             break
         middle = (low * at_high - high * at_low) / (at_high - at_low)
         value = rising(middle)
-        if abs(value) < 1e-13:
+        if abs(value) < 1e-12:
             return middle
         if value < 0.0:
             low, at_low = middle, value
@@ -39,17 +48,16 @@ def largest_share(excess: Callable[[float], float], at_one: float, tolerance: fl
     will be none any more. What the function says where there is no excess plays no part.
     """
     good, bad, bad_excess = 0.0, 1.0, at_one
-    guess = 0.5
+    guess, told = 0.5, 0
     for _ in range(TRIALS):
         if bad - good <= tolerance:
             break
         found = excess(guess)
-        secant = 0.0
         if found <= 0.0:
-            good = guess
+            good, told = guess, 0
         else:
-            if bad_excess > found:
-                secant = guess - (bad - guess) * found / (bad_excess - found) - tolerance / 2
+            soon = guess - (bad - guess) * found / (bad_excess - found) if bad_excess > found else good
+            told = (told + 1) % 4 if soon > good else 0  # from time to time halve, where that comes near too slowly
             bad, bad_excess = guess, found
-        guess = max(secant, good + (bad - good) / 8) if secant else (good + bad) / 2
+        guess = max(soon - tolerance / 2, good + (bad - good) / 8) if told else (good + bad) / 2
     return good

@@ -16,7 +16,7 @@ INSTANTS = 12
 """Of a pulse, at which a straight stop is checked against the box; after it the stops' ends lie on a line."""
 HOLDS = 3
 """Instants from the slot's end to the next action's deadline at which a hold may begin, as far as it is checked."""
-NEAR_M = 0.01
+NEAR_M = 0.05
 """A blend this near to the box is near enough."""
 
 Out = tuple[float, float, float]

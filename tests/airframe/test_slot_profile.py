@@ -190,3 +190,23 @@ def test_brakes_from_any_instant_of_a_flight(moves, agility, slot_s, share):
     times = np.linspace(0, 20, 4001)
     jerk = np.diff(hold.at(times).acceleration, axis=0) / times[1] / np.array([1, 1, agility.vertical_share])
     assert np.all(np.linalg.norm(jerk, axis=-1) <= agility.jerk * (1 + 1e-6))
+
+
+@given(chains, agilities | st.floats(1, 6).map(Agility), slots, st.floats(0, 2))
+def test_the_extent_is_that_of_the_way(moves, agility, slot_s, share):
+    """Against a thousand instants."""
+    for profile in fly(moves, agility, slot_s):
+        way = profile.at(np.linspace(0, share * slot_s, 1001)).position
+        low, high = profile.extent(share * slot_s)
+        assert np.all(way >= np.array(low) - 1e-9)
+        assert np.all(way <= np.array(high) + 1e-9)
+        assert way.min(axis=0) == pytest.approx(low, abs=1e-3)
+        assert way.max(axis=0) == pytest.approx(high, abs=1e-3)
+
+
+@given(chains, agilities, slots, st.floats(0, 2))
+def test_one_instant_is_the_same_as_among_many(moves, agility, slot_s, share):
+    for profile in fly(moves, agility, slot_s):
+        one, many = profile.at(share * slot_s), profile.at(np.array([0.0, share * slot_s]))
+        for alone, among in zip(one, many, strict=True):
+            assert np.array_equal(alone, among[1])

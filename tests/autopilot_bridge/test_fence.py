@@ -165,6 +165,16 @@ def test_a_polygon_holds_a_line_that_begins_inside_and_crosses_no_side(vertices,
     assert held == (winding_number(p, vertices) != 0 and not crosses)
 
 
+@given(fences, arrays(float, 2, elements=st.floats(-45, 45)), arrays(float, (4, 2), elements=st.floats(-15, 15)))
+def test_what_is_near_tells_of_paths_near_it_as_much_as_the_whole(fence, place, steps):
+    path = [(east, north) for east, north in (place + steps).tolist()]
+    radius = max(math.dist(place, point) for point in path)
+    near = fence.near(tuple(place.tolist()), radius)
+    assert fence.holds(path) == (near is None or near.holds(path))
+    if near is None:
+        assert all(inside(fence, (*point, 20.0)) for point in path)
+
+
 @given(polygons, arrays(float, 2, elements=st.floats(-45, 45)), st.floats(0, 40))
 @example(((2, 0), (1, 1.7), (-2.5, 4.330127018922194), (-2, 2.5e-16), (-1, -1.7), (1, -1.7)), np.array([-8.0, 0]), 0.0)
 def test_how_far_outside(vertices, place, height):
