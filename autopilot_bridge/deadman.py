@@ -18,6 +18,7 @@
 
     from any of them:
          a mode that is not ours in a HEARTBEAT  ->  yielded: no setpoints, no modes of ours, until `resume`
+         nothing heard for 0.3 s                 ->  dark: no mode is asked for, since it would arrive after a failsafe
          nothing heard for 3 s of wall clock     ->  silent: no setpoints, the autopilot's own failsafe acts; heard
                                                      again, its mode is obeyed, or sent home if it is still ours
          we have not listened for `STALL_S`, or  ->  nothing is sent before a HEARTBEAT that is news for certain has
@@ -39,6 +40,10 @@ from math import inf
 from typing import NamedTuple
 
 SILENCE_WALL_S = 3.0
+HEARTBEAT_WALL_S = 10.0
+"""An autopilot that speaks but tells no mode for so long is as good as silent; many in a row may be lost."""
+DARK_S = 0.3
+"""Having heard nothing for so long we ask for no mode: it may arrive after a failsafe has chosen another."""
 STALE_S = 0.5
 """No setpoint is computed from a position older than this."""
 MODE_OLD_S = 1.5
@@ -86,7 +91,7 @@ class Deadman:
     """The rung's reason, in words."""
 
     def __post_init__(self) -> None:
-        self._placed = self._told_mode = NEVER
+        self._heard = self._placed = self._told_mode = NEVER
         self._acted: Moment | None = None
         """None: no actions are awaited."""
         self._opened = NEVER
@@ -96,6 +101,10 @@ class Deadman:
         self._sent_home: Moment | None = None
         self._home_because = ""
         self._landing = ""
+
+    def heard(self, now: Moment) -> None:
+        """Something came from the autopilot."""
+        self._heard = now
 
     def placed(self, now: Moment) -> None:
         """A new position was told."""
@@ -133,6 +142,10 @@ class Deadman:
     def late(self, now: Moment) -> bool:
         """Whether the open slot's action can no longer come in time."""
         return not self._answered and now.since(self._opened) > self.deadline_s
+
+    def dark(self, now: Moment) -> bool:
+        """Whether the vehicle's mode may be another by now."""
+        return now.since(self._heard) > DARK_S or now.since(self._told_mode) > MODE_OLD_S
 
     def stale(self, now: Moment) -> bool:
         """Whether what is known of the vehicle is too old to steer it."""
@@ -182,13 +195,14 @@ class Silence:
     """Judges the autopilot's telemetry on the wall clock [s]."""
 
     wall_s: float
+    limit_s: float = SILENCE_WALL_S
     heard: int = 0
 
     def over(self, heard: int, wall_s: float) -> bool:
         """Whether the count of messages `heard` has stood still for too long."""
         if heard != self.heard:
             self.heard, self.wall_s = heard, wall_s
-        return wall_s - self.wall_s > SILENCE_WALL_S
+        return wall_s - self.wall_s > self.limit_s
 
     def excuse(self, wall_s: float) -> None:
         """We kept the vehicle waiting: start counting anew."""

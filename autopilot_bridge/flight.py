@@ -198,7 +198,7 @@ class Flight:
                     if self._rested() and not slots.closed:
                         self._helm.follow_slots(slots)
                     self._loop.step()
-                self._vehicle.hear_mode()  # who took over in the last moment keeps it
+                self._hear_mode()  # who took over in the last moment keeps it
                 return
             except Yielded:
                 self._await_resume()
@@ -225,9 +225,14 @@ class Flight:
         until = self._clock.now + self._vehicle.dialect.stream_before_offboard_s
         while self._clock.now < until:
             self._loop.step()
-        self._vehicle.hear_mode()
+        self._hear_mode()
         self._vehicle.set_mode(Mode.OFFBOARD)
         self._loop.expected = {Mode.OFFBOARD}
+
+    def _hear_mode(self) -> None:
+        """So that nobody's newer choice is overruled unseen."""
+        self._loop.get_in_touch()
+        self._vehicle.hear_mode()
 
     def _rested(self) -> bool:
         """Whether the ladder has asked for the autopilot's own hold mode; by now there is something to fly again.
@@ -237,7 +242,7 @@ class Flight:
         loop = self._loop
         if not loop.on(Rung.HOLD_MODE):
             return False
-        self._vehicle.hear_mode()
+        self._hear_mode()
         self._helm.let_go()
         loop.resting = True
         loop.expected = loop.expected | {Mode.HOLD}
@@ -311,7 +316,7 @@ class Flight:
             if time.monotonic() > patience:
                 raise error
             self._listen()
-        loop.silence.excuse(time.monotonic())
+        loop.excuse_silence()
         mode = vehicle.telemetry.mode
         if mode not in ours:
             return End(None, FAILSAFE, "the link was lost")
@@ -372,7 +377,7 @@ class Flight:
             loop.deadman.land(str(end))
         else:
             loop.deadman.sent_home(self._clock.moment, str(end))
-        vehicle.hear_mode()
+        self._hear_mode()
         loop.expected = (loop.expected or {vehicle.telemetry.mode}) | {Mode.RETURN, Mode.LAND}
         if end.mode is Mode.LAND:
             self._land()

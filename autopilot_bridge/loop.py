@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from airframe.slot_profile import Vector
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig
-from autopilot_bridge.deadman import SILENCE_WALL_S, Attention, Moment, Rung, Silence
+from autopilot_bridge.deadman import HEARTBEAT_WALL_S, SILENCE_WALL_S, Attention, Moment, Rung, Silence
 from autopilot_bridge.endings import ERROR, FAILSAFE, End, Yielded
 from autopilot_bridge.fence import outside_m
 from autopilot_bridge.ground import Ground
@@ -59,7 +59,8 @@ class Loop:
         """In the autopilot's own hold mode, by our own choice."""
         self.flying = False
         """Armed by us and not yet told to come down."""
-        self.silence = Silence(time.monotonic())
+        self._silences = (Silence(time.monotonic()), Silence(time.monotonic(), HEARTBEAT_WALL_S))
+        """Of all messages, and of HEARTBEATs."""
         self._attention = Attention(clock.moment)
         self._broken_off = False
         self._doubted_at = 0.0
@@ -68,7 +69,7 @@ class Loop:
         self._malformed = 0
         self._counters: Counter[str] = Counter()
         self._steps = 0
-        self._heartbeats = 0
+        self._heard = self._heartbeats = 0
         self._position_s = self._position_told_s = self._state_told_s = 0.0
         ground.objection = self._objection
 
@@ -92,11 +93,16 @@ class Loop:
     def step(self) -> None:
         """Raises End, Yielded, and what the vehicle raises.
 
-        After a stall it returns only once the vehicle's mode is known anew, so that nothing is asked of it before.
+        While the vehicle is ours it returns only in touch, so that no mode is asked for in the dark.
         """
         self._pass()
-        while self.expected and not self.vehicle.mode_known():
-            if time.monotonic() - self._doubted_at > SILENCE_WALL_S:
+        if self.expected:
+            self.get_in_touch()
+
+    def get_in_touch(self) -> None:
+        """Let steps pass until the vehicle's mode is known: as it was told a moment ago. Raises as `step` does."""
+        while (dark := self.deadman.dark(self._clock.moment)) or not self.vehicle.mode_known():
+            if not dark and time.monotonic() - self._doubted_at > SILENCE_WALL_S:
                 raise SilentError(f"autopilot at {self._config.autopilot}: no answer for {SILENCE_WALL_S:g} s")
             self._pass()
 
@@ -115,7 +121,7 @@ class Loop:
         """Hear the bus while vehicle time stands still. Raises End."""
         self._hear()
         self._publish_health()
-        self.silence.excuse(time.monotonic())
+        self.excuse_silence()
         time.sleep(0.01)
 
     def end(self) -> None:
@@ -174,8 +180,11 @@ class Loop:
         """What the step has brought: is it news, is there anybody, is the vehicle still ours? Raises SilentError."""
         now, wall, deadman = self._clock.moment, time.monotonic(), self.deadman
         stale = deadman.stale(now)
+        if self.vehicle.heard != self._heard:
+            self._heard = self.vehicle.heard
+            deadman.heard(now)
         if self._attention.stalled(now):
-            self.silence.excuse(wall)
+            self.excuse_silence()
             self._doubt(f"{now.wall_s - self._attention.listened.wall_s:.1f} s without listening")
         self._attention.listened = now
         telemetry = self.vehicle.telemetry
@@ -189,9 +198,22 @@ class Loop:
             self._doubt("telemetry is back")
         if self.takeoff is not None and telemetry.position_enu is not None:
             self._broken_off = self.takeoff.broken_off(telemetry.mode, float(telemetry.position_enu[2]), now)
-        if self.silence.over(self.vehicle.heard, wall) and self.phase != "connecting":
-            raise SilentError(f"autopilot at {self._config.autopilot}: no telemetry for {SILENCE_WALL_S:g} s")
+        self._judge_silence(wall)
         self._judge_hands()
+
+    def _judge_silence(self, wall_s: float) -> None:
+        """Raises SilentError."""
+        all_messages, heartbeats = self._silences
+        silent = all_messages.over(self.vehicle.heard, wall_s)
+        untold = heartbeats.over(self.vehicle.telemetry.heartbeats, wall_s)
+        if (silent or untold) and self.phase != "connecting":
+            what, limit_s = ("telemetry", SILENCE_WALL_S) if silent else ("HEARTBEAT", HEARTBEAT_WALL_S)
+            raise SilentError(f"autopilot at {self._config.autopilot}: no {what} for {limit_s:g} s")
+
+    def excuse_silence(self) -> None:
+        """We kept the vehicle waiting, or were not listening."""
+        for silence in self._silences:
+            silence.excuse(time.monotonic())
 
     def _doubt(self, why: str) -> None:
         """Somebody else may have taken the vehicle meanwhile; PX4 gives it back to any stream of setpoints."""
@@ -276,7 +298,7 @@ class Loop:
             self._take_actions(slots)
             self._hear()
             self._publish_health()
-        self.silence.excuse(time.monotonic())
+        self.excuse_silence()
         if slots.awaiting:
             slots.hold(self._clock.now, "missing", "no action")
 

@@ -334,7 +334,9 @@ def test_a_pilot_is_obeyed_until_resume(sitl, fly, bridge_config, tmp_path):
 
 def test_a_pilot_during_takeoff_is_obeyed(sitl, fly, bridge_config):
     autopilot = sitl("--lockstep")
-    flight = fly(bridge_config(autopilot, takeoff_altitude_m=80))  # long enough to be met in it
+    flight = fly(
+        bridge_config(autopilot, takeoff_altitude_m=80, box={"x": (-50, 50), "y": (-50, 50), "z": (8, 90)})
+    )  # long enough to be met in it
     flight.until(lambda: "Takeoff detected" in "".join(flight.told("statustext")), "the takeoff")
     autopilot.pilot(mavlink.MAV_CMD_DO_SET_MODE, *AUTO_LAND)
     assert flight.wait() == 3

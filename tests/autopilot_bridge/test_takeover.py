@@ -12,6 +12,7 @@ from autopilot_bridge import node
 from autopilot_bridge.link import Link
 from tests.autopilot_bridge.on_the_wire import OFFBOARD, asked, heard_mode, of_vehicle, read_log
 
+TALL = {"x": (-50, 50), "y": (-50, 50), "z": (8, 90)}
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 MODES = {
     "px4": {name: (1, 4, sub) for name, sub in (("hold", 3), ("return", 5), ("land", 6))},
@@ -69,7 +70,7 @@ def lands_by_the_pilot(case):
 
 
 def test_in_the_takeoff(case):
-    case = case(takeoff_altitude_m=80.0)
+    case = case(takeoff_altitude_m=80.0, box=TALL)
     case.flight.until(lambda: case.flight.states and case.flight.states[-1].position_enu[2] > 3.0, "the climb")
     assert case.flight.phases[-1] == "takeoff"
     lands_by_the_pilot(case)
@@ -77,7 +78,7 @@ def test_in_the_takeoff(case):
 
 def test_a_hold_in_the_takeoff(case):
     """On PX4 that is the mode in which a takeoff ends, on ArduCopter it is BRAKE."""
-    case = case(takeoff_altitude_m=80.0)
+    case = case(takeoff_altitude_m=80.0, box=TALL)
     case.flight.until(lambda: case.flight.states and case.flight.states[-1].position_enu[2] > 3.0, "the climb")
     case.pilot("hold")
     case.flight.until_phase("yielded")
