@@ -8,10 +8,13 @@ import pytest
 from autopilot_bridge import node
 from autopilot_bridge.link import Link
 from tests.failure_matrix.case import AUTOPILOTS, Case, ports
-from tests.failure_matrix.rows import ROWS
+from tests.failure_matrix.rows import BOTH, ROWS
 
 SLOTS = 12
 FROM_SLOT = 2
+TOWARDS_M, FAST_MPS = 20.0, 8.0
+BOX_M, V_MAX_MPS, NOTICED_S = 50.0, 10.0, 1.25
+"""Plans stop in the box; an autopilot that loses the stream flies its last velocity for a second or so."""
 
 
 class Fault:
@@ -54,6 +57,33 @@ CASES = {
     "MAVLink duplicate": lambda _: twice,
     "MAVLink reorder": lambda _: swapped(),
 }
+
+
+def nothing(datagram):
+    return ()
+
+
+@pytest.mark.parametrize("personality", BOTH)
+def test_link_dead_at_full_speed(sitl, fly, bridge_config, tmp_path, monkeypatch, personality):
+    fault = Fault(nothing)
+    monkeypatch.setattr(node, "Link", partial(Link, tamper_in=fault, tamper_out=fault))
+    autopilot = sitl("--lockstep", *AUTOPILOTS[personality])
+    at = []
+
+    def decide(opened):
+        if opened.position_enu[0] > TOWARDS_M and not fault.on:
+            fault.on = True
+            at.append(opened)
+        return (10.0, 0.0, 0.0)
+
+    config = bridge_config(autopilot, slots=1000)
+    with Case("link dead at full speed", fly, config, tmp_path, decide, **ports(autopilot)) as case:
+        case.start()
+        case.witness.until(lambda sight: at and sight.time_s > at[0].time_s + 10.0 and sight.down, "home")
+        fault.on = False
+        case.fence_m = BOX_M + NOTICED_S * V_MAX_MPS
+        case.judge(at[0].time_s)
+    assert at[0].velocity_enu[0] > FAST_MPS
 
 
 @pytest.mark.parametrize(
