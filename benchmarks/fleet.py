@@ -101,9 +101,11 @@ def main() -> None:
         run, samples, code = fly(fields, Path(folder))
         logs = {path.parent.name: flight_log.read(path.parent) for path in sorted(run.glob("*/flight.mcap"))}
     outcomes: Counter[str] = Counter()
-    took_ms, skipped, first, last = [], 0, 0.0, float("inf")
+    took_ms, lost, skipped, first, last = [], [], 0, 0.0, float("inf")
     for log in logs.values():
-        outcomes.update(slot.flown.outcome for slot in log.messages(topics.SLOT) if slot.flown)
+        done = [slot.flown for slot in log.messages(topics.SLOT) if slot.flown]
+        outcomes.update(slot.outcome for slot in done)
+        lost += [slot.slot for slot in done if slot.outcome in ("missing", "late", "rejected")]
         walls = [entry.wall_s for entry in log.entries if entry.topic == topics.SLOT.name]
         slots = [slot.slot for slot in log.messages(topics.SLOT)]
         opened = dict(zip(slots, walls, strict=True))
@@ -115,7 +117,7 @@ def main() -> None:
         skipped += healths[-1].counters.get("steps_skipped", 0)
     flown = sum(outcomes.values())
     print(f"exit {code}; {flown} of {given.vehicles * given.slots} slots: {dict(outcomes)}")
-    print(f"missed or late: {outcomes['missing'] + outcomes['late'] + outcomes['rejected']}; steps skipped: {skipped}")
+    print(f"missed, late or rejected: {len(lost)} (slots {sorted(lost)}); steps skipped: {skipped}")
     print(f"load after: {os.getloadavg()[0]:.2f}")
     p50, p99, most = np.percentile(took_ms, [50, 99, 100])
     print(f"slot opened to action on the bus: median {p50:.0f} ms, p99 {p99:.0f} ms, longest {most:.0f} ms")

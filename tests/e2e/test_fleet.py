@@ -47,6 +47,7 @@ def test_vehicles_that_would_fly_into_each_other_stay_apart(towards_each_other):
         for (first, one), (second, other) in itertools.combinations(paths(recorded).items(), 2)
     }
     assert min(found.values()) >= SEPARATION_M, found
+    assert min(found.values()) < 2 * SEPARATION_M, "they have met"
     clipped = [
         reason
         for log in recorded.values()
