@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -61,14 +62,16 @@ def plan_slot(
     def profile_of(candidate: Vector) -> SlotProfile:
         return reach(position, velocity, candidate, slot_s, agility, speeds, acceleration)
 
-    def gets_out(candidate: Vector) -> Out:
+    def gets_out(candidate: Vector, wholly: bool) -> Out:
         profile = profile_of(candidate)
         stops = _holds(profile, slot_s, until_s, agility) if jerky else _stops(profile, until_s, limits)
-        east, north, up = (
-            max(0.0, bottom - min(coordinates), max(coordinates) - top)
-            for bottom, top, *coordinates in zip(low, high, *profile.extent(until_s), *stops, strict=True)
-        )
-        return east, north, up
+        out = [0.0, 0.0, 0.0]
+        for corner in chain(stops, profile.extent(until_s)):
+            for axis, place in enumerate(corner):
+                out[axis] = max(out[axis], low[axis] - place, place - high[axis])
+            if not wholly and max(out) > TOUCH_M:
+                break
+        return out[0], out[1], out[2]
 
     held = hold.displacement(slot_s)
     allowed = nearest_inside(displacement, held, gets_out)
@@ -78,23 +81,24 @@ def plan_slot(
     return Planned(profile, (*profile.limited_by, *(("box",) if allowed is not displacement else ())))
 
 
-def nearest_inside(wanted: Vector, fallback: Vector, gets_out: Callable[[Vector], Out]) -> Vector:
+def nearest_inside(wanted: Vector, fallback: Vector, gets_out: Callable[[Vector, bool], Out]) -> Vector:
     """`wanted` itself when nothing is in the way; else blended with `fallback`, as little as needed.
 
-    Only along the axes in the way if that helps, else along all. `gets_out(candidate)` tells how far, per axis. When
-    even `fallback` gets out it is returned all the same: there is nothing better.
+    Only along the axes in the way if that helps, else along all. `gets_out(candidate, wholly)` tells how far, per axis,
+    of all there is, or of the first that does. When even `fallback` gets out it is returned all the same: there is
+    nothing better.
     """
-    out = gets_out(wanted)
+    out = gets_out(wanted, True)
     if max(out) <= TOUCH_M:
         return wanted
     for target in (np.where(np.array(out) > TOUCH_M, fallback, wanted), fallback):
-        if max(gets_out(target)) > TOUCH_M:
+        if max(gets_out(target, False)) > TOUCH_M:
             continue
         way = wanted - target
         tolerance = NEAR_M / max(float(np.abs(way).max()), NEAR_M)
 
         def beyond_m(share: float, to: Vector = target, way: Vector = way) -> float:
-            return max(gets_out(to + share * way)) - TOUCH_M
+            return max(gets_out(to + share * way, False)) - TOUCH_M
 
         return target + largest_share(beyond_m, max(out), tolerance) * way
     return fallback
@@ -110,12 +114,12 @@ def _stops(profile: SlotProfile, until_s: float, limits: Limits) -> Iterator[Tri
 
 
 def _holds(profile: SlotProfile, slot_s: float, until_s: float, agility: Agility) -> Iterator[Triple]:
-    """The corners of what holds need that begin between the slot's end and `until_s`.
+    """The corners of what holds need that begin between the slot's end and `until_s`, the last one first.
 
     When the vehicle only coasts by then, all of them are alike: the first and the last tell.
     """
     count = 2 if profile.duration_s <= slot_s else HOLDS
-    for number in range(count):
+    for number in reversed(range(count)):
         position, velocity, acceleration = profile.state(slot_s + (until_s - slot_s) * number / (count - 1))
         hold = brake(position, velocity, agility, acceleration)
         yield from hold.extent(hold.duration_s)
