@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from autopilot_bridge.config import BridgeConfig
 from autopilot_bridge.deadman import (
     BLIND_S,
+    DARK_S,
     MODE_OLD_S,
     SILENCE_WALL_S,
     STALE_S,
@@ -133,6 +134,21 @@ def test_no_setpoint_on_the_word_of_an_old_heartbeat(ladder):
         assert deadman.stale(now) == (now.vehicle_s - 10.0 > MODE_OLD_S)
 
 
+def test_in_the_dark_nothing_is_to_be_asked_for():
+    deadman = Deadman(0.25, 5.0, 15.0, 300.0)
+    assert deadman.dark(at(10.0))
+    deadman.told_mode(at(10.0))
+    for eighth in range(80, 120):
+        now = at(eighth / 8)
+        deadman.heard(now)
+        assert deadman.dark(now) == (now.vehicle_s - 10.0 > MODE_OLD_S)
+    deadman.told_mode(at(15.0))
+    deadman.heard(at(15.0))
+    assert not deadman.dark(at(14.9 + DARK_S))
+    assert deadman.dark(at(15.1 + DARK_S, wall=15.0))
+    assert deadman.dark(at(15.0, wall=15.1 + DARK_S))
+
+
 def test_the_position_comes_back(ladder):
     ladder.rung(at(10.0))
     assert ladder.deadman.rung(at(11.1)) is Rung.HOLD_MODE
@@ -245,6 +261,8 @@ def test_silence_runs_on_the_wall_and_can_be_excused():
     assert not silence.over(heard=5, wall_s=101.0)
     assert not silence.over(heard=5, wall_s=101.0 + SILENCE_WALL_S)
     assert silence.over(heard=5, wall_s=101.1 + SILENCE_WALL_S)
+    assert not Silence(100.0, limit_s=10.0).over(heard=0, wall_s=109.0)
+    assert Silence(100.0, limit_s=10.0).over(heard=0, wall_s=110.5)
     silence.excuse(110.0)
     assert not silence.over(heard=5, wall_s=112.0)
     assert not silence.over(heard=6, wall_s=114.0)

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot_bridge import node
 from autopilot_bridge.link import Link
-from tests.autopilot_bridge.on_the_wire import read_log, setpoints
+from tests.autopilot_bridge.on_the_wire import asked, of_vehicle, read_log, setpoints
 
 HOLD_MODE = {"px4": "AUTO.LOITER", "arducopter": "BRAKE"}
 RETURN_MODE = {"px4": "AUTO.RTL", "arducopter": "RTL"}
@@ -77,7 +77,7 @@ def test_up_to_the_return(autopilot, fly, bridge_config):
     assert flight.phases[-2:] == ["holding", "returning"]
     modes = list(dict.fromkeys(state.mode for state in flight.states))
     assert modes.index(HOLD_MODE[autopilot.personality]) < modes.index(RETURN_MODE[autopilot.personality])
-    assert not flight.states[-1].armed
+    flight.until(lambda: not flight.states[-1].armed, "word of the disarming")
 
 
 def test_a_return_that_takes_too_long_lands(autopilot, fly, bridge_config):
@@ -88,7 +88,7 @@ def test_a_return_that_takes_too_long_lands(autopilot, fly, bridge_config):
     assert flight.told("ladder")[-1].endswith("not on the ground 4 s after it was sent home")
     assert flight.phases[-2:] == ["returning", "landing"]
     assert LAND_MODE[autopilot.personality] in {state.mode for state in flight.states}
-    assert not flight.states[-1].armed
+    flight.until(lambda: not flight.states[-1].armed, "word of the disarming")
 
 
 def test_slots_that_end_in_the_hold_mode(autopilot, fly, bridge_config, tmp_path):
@@ -102,13 +102,14 @@ def test_slots_that_end_in_the_hold_mode(autopilot, fly, bridge_config, tmp_path
 
 
 class Lost:
-    """Takes messages of some kinds out of what comes in, from one slot's opening for a while."""
+    """Takes messages of some kinds, or all, out of what comes in, from one slot's opening for a while."""
 
     def __init__(self, *kinds):
         self.kinds, self.on = kinds, False
 
     def __call__(self, datagram):
-        return () if self.on and int.from_bytes(datagram[7:10], "little") in self.kinds else (datagram,)
+        wanted = not self.kinds or int.from_bytes(datagram[7:10], "little") in self.kinds
+        return () if self.on and wanted else (datagram,)
 
 
 POSITION, HEARTBEAT = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAVLINK_MSG_ID_HEARTBEAT
@@ -160,7 +161,23 @@ def test_positions_that_stay_away_send_it_home(autopilot, fly, bridge_config, lo
     assert flight.wait() == 3
     assert rungs(flight) == ["FLY -> HOLD_MODE", "HOLD_MODE -> RETURN"]
     assert flight.told("failsafe") == ["no position for 6 s"]
-    assert not flight.states[-1].armed
+    flight.until(lambda: not flight.states[-1].armed, "word of the disarming")
+
+
+def test_nothing_is_asked_for_in_the_dark(autopilot, fly, bridge_config, lost, tmp_path):
+    """What we hear is lost, what we say would arrive: PX4's failsafe has its way, ArduCopter brakes and stays ours."""
+    fault = lost()
+    flight = fly(bridge_config(autopilot, slots=14), losing(fault, 3, 7), tlog=tmp_path / "flight.tlog")
+    px4 = autopilot.personality == "px4"
+    assert flight.wait() == (3 if px4 else 0)
+    opened = {o.slot: o.time_s for o in flight.slots}
+    log = read_log(tmp_path / "flight.tlog")
+    sent = [i for i, m in enumerate(log) if m in setpoints(log)]
+    last = max(i for i in sent if log[i].time_boot_ms / 1000 < opened[5])
+    assert 0.3 < log[last].time_boot_ms / 1000 - opened[3] < 0.7
+    back = next(i for i, m in of_vehicle(log, "HEARTBEAT") if i > last)
+    assert asked(log[last + 1 : back]) == []
+    assert bool([text for text in flight.told("mode") if "AUTO.RTL was chosen" in text]) == px4
 
 
 def test_a_mode_that_is_not_told_is_not_flown_on(sitl, fly, bridge_config, lost, tmp_path):

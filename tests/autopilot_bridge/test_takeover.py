@@ -66,7 +66,7 @@ def lands_by_the_pilot(case):
     assert case.flight.phases[-1] == "yielded"
     assert len(case.flight.told("mode")) == 1
     assert asked(case.log_after("land")) == []
-    assert not case.flight.states[-1].armed
+    case.flight.until(lambda: not case.flight.states[-1].armed, "word of the disarming")
 
 
 def test_in_the_takeoff(case):
