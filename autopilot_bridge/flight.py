@@ -23,7 +23,7 @@ from autopilot_bridge import preflight
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig
 from autopilot_bridge.deadman import Rung
-from autopilot_bridge.endings import AS_PLANNED, ERROR, FAILSAFE, End, Yielded
+from autopilot_bridge.endings import AS_PLANNED, ERROR, FAILSAFE, End, Yielded, in_our_code
 from autopilot_bridge.flight_parameters import FlightParameters
 from autopilot_bridge.ground import Ground
 from autopilot_bridge.link import LinkError
@@ -106,7 +106,15 @@ class Flight:
                 raise
             ending = End(Mode.RETURN, FAILSAFE, str(error))
             self._loop.tell("failsafe", str(error))
-        return self._come_down(ending)
+        except LinkError:
+            raise
+        except Exception as error:  # what nobody thought of must not end it in the air
+            if self.down:
+                raise
+            ending = End(Mode.RETURN, ERROR, in_our_code(error))
+            self._loop.tell("error", str(ending))
+        code = self._come_down(ending)
+        return ERROR if ending.code == ERROR else code
 
     def _preflight(self) -> None:
         self._loop.enter("preflight")
@@ -172,12 +180,16 @@ class Flight:
                     return
 
     def _await_start(self) -> None:
+        """Raises VehicleError when somebody else has armed it meanwhile: his flight is not ours to take."""
         self._loop.enter("ready")
         while not self._loop.started:
             if self._clock.frozen_between_steps:  # vehicle time must not depend on how long this takes
                 self._loop.idle()
             else:
                 self._loop.step()
+        self._hear_mode()
+        if not self.down:
+            raise VehicleError(f"somebody else has armed the vehicle, in mode {self._vehicle.telemetry.mode_name}")
 
     def _fly_slots(self) -> None:
         self._loop.enter("arming")

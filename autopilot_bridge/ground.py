@@ -70,8 +70,8 @@ class Ground:
         now = self.now()
         try:
             print(f"{now:9.2f} {kind}: {text}", flush=True)
-        except OSError:
-            self.counters["print_failed"] += 1  # a full disk must not take the vehicle down with it
+        except (OSError, ValueError):  # a full disk, or letters that it has not, must not take the vehicle down
+            self.counters["print_failed"] += 1
         self._event.send(m.MissionEvent(time_s=now, source="bridge", kind=kind, text=text, exit_code=exit_code))
 
     def publish_health(self, counters: Callable[[], Counter[str]], final: bool = False) -> None:

@@ -397,6 +397,8 @@ class Loop:
         match name:
             case "start" if self.started:
                 return "already started"
+            case "start" if self.vehicle.telemetry.armed:
+                return f"somebody else has armed the vehicle, in mode {self.vehicle.telemetry.mode_name}"
             case "hold" if phase not in ("takeoff", "transit", "slots", "holding"):
                 return f"nothing to hold in phase {phase}"
             case "resume" if phase not in ("holding", "yielded") or not self.flying:

@@ -12,7 +12,7 @@ import zenoh
 from autopilot_bridge.clock import Clock, Lockstep, Paced
 from autopilot_bridge.config import BridgeConfig, LockstepClock, PacedClock
 from autopilot_bridge.dialects.known import dialects
-from autopilot_bridge.endings import ERROR
+from autopilot_bridge.endings import ERROR, in_our_code
 from autopilot_bridge.flight import Flight
 from autopilot_bridge.ground import Ground
 from autopilot_bridge.link import Link, LinkError
@@ -40,6 +40,9 @@ def run(
                 code = _fly(config, ground, link, served, session, others if config.separation_m > 0 else ())
         except (LinkError, ValueError) as error:
             ground.tell("error", str(error))
+            code = ERROR
+        except Exception as error:  # whoever waits for the last word must get it
+            ground.tell("error", in_our_code(error))
             code = ERROR
         ground.tell("ended", f"exit {code}", code)
         return code

@@ -1,0 +1,70 @@
+"""What nobody thought of ends no flight in the air; a vehicle that somebody else flies is not ours to start."""
+
+import io
+import sys
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from autopilot_bridge import preflight, slots
+from autopilot_bridge.ground import Ground
+from bus.session import open_session
+from tests.autopilot_bridge.on_the_wire import asked, read_log
+
+
+def test_a_vehicle_that_somebody_else_has_armed_meanwhile_is_not_started(sitl, fly, bridge_config, tmp_path):
+    """In PX4 his hold is the mode in which we take off: only that it is armed tells."""
+    autopilot, speed = sitl("--speed", "10"), 10
+    config = bridge_config(autopilot, autostart=False).model_copy(
+        update={"clock": bridge_config(autopilot, clock={"kind": "paced", "speed": speed}).clock}
+    )
+    flight = fly(config, tlog=tmp_path / "flight.tlog")
+    flight.until_phase("ready")
+    autopilot.pilot(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    flight.until(lambda: flight.states[-1].armed, "somebody's arming")
+    autopilot.pilot(mavlink.MAV_CMD_NAV_TAKEOFF, *[float("nan")] * 7)
+    flight.until(lambda: flight.states[-1].position_enu[2] > 1.0, "his takeoff")
+    reply = flight.command("start")
+    assert not reply.accepted
+    assert "armed" in reply.reason
+    autopilot.pilot(mavlink.MAV_CMD_NAV_LAND, *[float("nan")] * 7)
+    flight.until(lambda: not flight.states[-1].armed, "his landing")
+    assert flight.command("land").accepted
+    assert flight.wait() == 3
+    assert asked(read_log(tmp_path / "flight.tlog")) == []
+
+
+def test_a_mistake_of_ours_in_the_air_brings_it_home_and_is_told(sitl, fly, bridge_config, monkeypatch, capfd):
+    def plan_slot(*_):
+        raise KeyError("nobody thought of this")
+
+    flight = fly(bridge_config(sitl("--lockstep"), slots=20, start_position_enu=(20.0, 0.0, 12.0)))
+    flight.until_slot(2)
+    monkeypatch.setattr(slots, "plan_slot", plan_slot)
+    assert flight.wait() == 1
+    assert flight.told("error") == ["KeyError in the bridge: 'nobody thought of this'"]
+    assert flight.phases[-1] == "returning"
+    assert max(map(abs, flight.states[-1].position_enu[:2])) < 2.0
+    assert not flight.states[-1].armed
+    assert flight.events[-1].exit_code == 1
+    assert "plan_slot" in capfd.readouterr().err
+
+
+def test_a_mistake_of_ours_on_the_ground_ends_it_with_a_word(sitl, fly, bridge_config, monkeypatch):
+    def clear(*_):
+        raise KeyError("nobody thought of this")
+
+    monkeypatch.setattr(preflight, "clear", clear)
+    flight = fly(bridge_config(sitl("--lockstep")))
+    assert flight.wait() == 1
+    assert flight.told("error") == ["KeyError in the bridge: 'nobody thought of this'"]
+    assert flight.events[-1].exit_code == 1
+
+
+def test_letters_that_our_output_has_not_end_no_flight(monkeypatch):
+    """An autopilot's STATUSTEXT may hold anything."""
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
+    with open_session() as session:
+        ground = Ground(session, "test")
+        ground.tell("statustext", "caf\u00e9")
+        assert ground.counters["print_failed"] == 1
+        ground.bell.close()
