@@ -41,7 +41,7 @@ def run(
         except (LinkError, ValueError) as error:
             ground.tell("error", str(error))
             code = ERROR
-        except Exception as error:  # whoever waits for the last word must get it
+        except Exception as error:  # noqa: BLE001  whoever waits for the last word must get it
             ground.tell("error", in_our_code(error))
             code = ERROR
         ground.tell("ended", f"exit {code}", code)
