@@ -82,8 +82,10 @@ def _own_loss(config: BridgeConfig, vehicle: Vehicle, parameters: FlightParamete
                 f"{_way_out('offboard_loss')}"
             )
         parameters.set(name, safe[0], why=", with which a vehicle without its bridge neither lands nor returns")
-    name, unit = vehicle.dialect.stream_loss
-    delay_s = vehicle.parameter(name) * unit
+    name, longest_s = vehicle.dialect.stream_loss
+    if name not in config.parameters and vehicle.parameter(name) > longest_s:
+        parameters.set(name, longest_s, why=" s, for which the last velocity of a dead link is flown on")
+    delay_s = vehicle.parameter(name)
     if delay_s > STREAM_LOSS_MAX_S:
         raise VehicleError(
             f"offboard_loss is late: {name} is {delay_s:g} s, must be {STREAM_LOSS_MAX_S:g} s at most"

@@ -89,7 +89,8 @@ class Dialect:
     """What must hold for a vehicle whose bridge is gone to land or return: parameter -> the values that are safe, of
     which the first is set when another is found."""
     stream_loss: tuple[str, float]
-    """The parameter after which a stream counts as lost, and its unit [s]."""
+    """The parameter [s] after which a stream counts as lost, and what it is made when it is more than that and the
+    mission does not name it."""
     owners_failsafes: Mapping[str, tuple[Need, ...]]
     """Failsafes that whoever runs the vehicle chooses: the mission's word -> all that must be so."""
     tilt_max_deg: Callable[[Read], float]

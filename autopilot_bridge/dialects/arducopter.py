@@ -93,7 +93,7 @@ ARDUCOPTER = Dialect(
         "jerk_mps3": ("PSC_JERK_XY", 1.0),
     },
     failsafes={"FS_GCS_ENABLE": (1, 2, 3, 4, 5, 6), "MAV_GCS_SYSID": (OWN_SYSTEM,)},
-    stream_loss=("GUID_TIMEOUT", 1.0),
+    stream_loss=("GUID_TIMEOUT", 1.0),  # by itself 3 s: 30 m at 10 m/s, and the fence is 10 m from the box
     owners_failsafes={
         "battery_failsafe": (
             Need("BATT_FS_LOW_ACT", among=(1, 2, 3, 4, 6)),

@@ -77,7 +77,7 @@ PX4 = Dialect(
         "down_mps": ("MPC_Z_VEL_MAX_DN", 1.0),
     },
     failsafes={"COM_OBL_RC_ACT": (3, 4)},
-    stream_loss=("COM_OF_LOSS_T", 1.0),
+    stream_loss=("COM_OF_LOSS_T", math.inf),  # 1 s by itself; who has made it longer has chosen so
     owners_failsafes={
         "battery_failsafe": (Need("COM_LOW_BAT_ACT", among=(1, 2, 3)),),  # return, land, return or land
         "gcs_loss": (Need("NAV_DLL_ACT", among=(1, 2, 3)),),  # hold, return, land

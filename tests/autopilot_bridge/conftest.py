@@ -58,6 +58,8 @@ class Sitl:
         self.port = port or free_udp_port()
         command = [sys.executable, "-m", "sitl", "--companion-port", str(self.port), "--companion-bind", "0"]
         self.gcs_port = free_udp_port()
+        if "arducopter" in options and "--tcp-port" not in options:
+            command += ["--tcp-port", "0"]
         command += ["--gcs-port", str(self.gcs_port), "--gcs-bind", "0", *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         printed = {}
@@ -209,7 +211,7 @@ def sitl():
 @pytest.fixture(scope="module")
 def standing():
     """One autopilot of each kind for all flights that end before they begin: each puts back what it has set."""
-    kinds = {"px4": (), "arducopter": ("--personality", "arducopter", "--tcp-port", "0")}
+    kinds = {"px4": (), "arducopter": ("--personality", "arducopter")}
     with contextlib.ExitStack() as stack:
         started = {}
 
