@@ -22,6 +22,8 @@ class MavlinkRelay:
         self._sitl = ("127.0.0.1", sitl)
         self._up = self._open(self._sitl, own_port=companion)
         self._down = self._open(("127.0.0.1", bridge))
+        self._left = []
+        """Sockets of before a restart; nobody listens there any more."""
         self._lock = threading.Lock()
         self.cut = False
         """Nothing passes, either way."""
@@ -52,7 +54,7 @@ class MavlinkRelay:
         """The autopilot's MAVLink side starts anew: its clock at 0, sequence numbers and rates as at power-on."""
         with self._lock:
             self._since_ms = self._newest_ms
-            self._up.close()
+            self._left.append(self._up)
             self._up = self._open(self._sitl)
             self._decoder = mavlink.MAVLink(None)
             self._up.send(self._beat)  # who is at the port that it sends to, it knows from its parameters
@@ -69,8 +71,8 @@ class MavlinkRelay:
     def close(self):
         self._over.set()
         self._thread.join()
-        self._up.close()
-        self._down.close()
+        for one in (self._up, self._down, *self._left):
+            one.close()
 
     def _pass(self):
         while not self._over.is_set():

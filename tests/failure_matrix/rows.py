@@ -275,7 +275,7 @@ _TABLE = (
         "as above",
         (End.HOME,),
         (3,),
-        (("failsafe", "no telemetry for 3 s"),),
+        (("ladder", "-> HOLD_MODE"),),
         BOTH,
     ),
     Row(
