@@ -161,7 +161,7 @@ _TABLE = (
         "bridge killed",
         "SIGKILL in slot 2",
         "PX4: COM_OF_LOSS_T; ArduCopter: GUID_TIMEOUT, FS_GCS_TIMEOUT; `fly`: its process is gone",
-        "PX4 returns; ArduCopter brakes after 3 s, returns after 5 s",
+        "PX4 returns after 1 s; ArduCopter brakes after 1 s, returns after 5 s",
         (End.HOME,),
         (3,),
         (),
