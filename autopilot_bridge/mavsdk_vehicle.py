@@ -4,7 +4,8 @@ MAVSDK hands over what it wants to send on threads of its own; it waits in a que
 whose loop has stopped sends nothing, whatever MAVSDK goes on repeating, and one thread writes the log.
 
 MAVSDK repeats the last velocity at 20 Hz for ever. Of its setpoints only those pass that we have just asked for, once
-each: the stream on the wire is ours, and it ends when we stop.
+each: the stream on the wire is ours, and it ends when we stop. It repeats a command until that is acknowledged, also one
+that we no longer want, because a pilot has taken over meanwhile: what we have given up waiting for is not sent again.
 
 State comes from the same decoded frames as with pymavlink: MAVSDK's telemetry carries no vehicle time, and knows fewer
 modes. Its timeouts and its heartbeat run on the wall clock, which is why it flies at the vehicle's own pace at most.
@@ -18,9 +19,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mavsdk import mavsdk
 from mavsdk.exceptions import MavsdkError
@@ -47,6 +48,14 @@ SETPOINT_WALL_S = 0.02
 """MAVSDK's thread hands a setpoint over within 0.3 ms; we do not wait for ever."""
 STALE_WALL_S = 1.0
 """What has waited for so long while our loop stood still is no longer ours to ask for; MAVSDK repeats what it needs."""
+STALE_SETPOINT_WALL_S = 0.5
+DARK_WALL_S = 0.3
+"""Having heard nothing for so long in flight we ask for no mode, see `deadman`; nor does MAVSDK for us."""
+COMMANDS = (
+    mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
+    mavlink.MAVLINK_MSG_ID_COMMAND_INT,
+    mavlink.MAVLINK_MSG_ID_SET_MODE,
+)
 VELOCITY = slice(10 + 16, 10 + 28)
 """Where vx, vy, vz lie in a frame of SET_POSITION_TARGET_LOCAL_NED."""
 UNANSWERED = ("TIMEOUT", "BUSY", "NO_SYSTEM", "CONNECTION_ERROR", "UNKNOWN")
@@ -69,6 +78,10 @@ class MavsdkVehicle(MavlinkVehicle):
         """Whether a setpoint was ever sent: MAVSDK enters OFFBOARD only then."""
         self._handed_over = threading.Event()
         self._calls = ThreadPoolExecutor(max_workers=4, thread_name_prefix="mavsdk")
+        self._given_up: Future[Any] | None = None
+        """A call of ours that MAVSDK may still be busy with; until the next one no command passes."""
+        self._heard_at = 0.0
+        """Wall clock of the last frame of the autopilot."""
         self._whole: set[str] = set()
         """Parameters that are whole numbers."""
         _silence()
@@ -85,7 +98,12 @@ class MavsdkVehicle(MavlinkVehicle):
 
     def poll(self, timeout_s: float) -> None:
         self._flush()
+        heard, mode = self.heard, self._telemetry.mode
         super().poll(timeout_s)
+        if self.heard != heard:
+            self._heard_at = time.monotonic()
+        if self._telemetry.mode is not mode:
+            self._wanted = None  # it was for the mode before
         self._flush()
 
     def beat(self) -> None:
@@ -177,10 +195,17 @@ class MavsdkVehicle(MavlinkVehicle):
     # Asking MAVSDK: its calls block on a thread of their own, since ours must go on polling for them to end.
 
     def _ask(self, call: Callable[[], T]) -> T:
-        """What `call` returns or raises; vehicle time goes on meanwhile."""
-        future = self._calls.submit(call)
-        while not future.done():
+        """What `call` returns or raises; vehicle time goes on meanwhile. What `_wait` raises gives it up."""
+        while self._given_up is not None and not self._given_up.done():
             self._wait()
+        self._flush()
+        future, self._given_up = self._calls.submit(call), None
+        try:
+            while not future.done():
+                self._wait()
+        except BaseException:
+            self._given_up = future
+            raise
         return future.result()
 
     def _do(self, what: str, done: Callable[[], bool], call: Callable[[], object]) -> None:
@@ -229,15 +254,26 @@ class MavsdkVehicle(MavlinkVehicle):
     def _flush(self) -> None:
         while self._outbox:
             since, frame = self._outbox.popleft()
-            if time.monotonic() - since > STALE_WALL_S:
-                self.counters["stale_dropped"] += 1
+            refusal = self._refusal(frame, time.monotonic() - since)
+            if refusal:
+                self.counters[refusal] += 1
                 continue
             if self._is_setpoint(frame):
-                if frame[VELOCITY] != self._wanted:
-                    self.counters["repeats_dropped"] += 1
-                    continue
                 self._wanted, self._wanted_once = None, True
             self._link.send_frame(frame)
+
+    def _refusal(self, frame: bytes, age_s: float) -> str:
+        """Why a frame of MAVSDK's is not sent, as a counter's name; empty when it is."""
+        if age_s > (STALE_SETPOINT_WALL_S if self._is_setpoint(frame) else STALE_WALL_S):
+            return "stale_dropped"
+        if self._is_setpoint(frame):
+            return "" if frame[VELOCITY] == self._wanted else "repeats_dropped"
+        if header(frame)[2] not in COMMANDS:
+            return ""
+        if self._given_up is not None:
+            return "given_up_dropped"
+        dark = self._telemetry.armed and time.monotonic() - self._heard_at > DARK_WALL_S
+        return "dark_dropped" if dark else ""
 
 
 @cache

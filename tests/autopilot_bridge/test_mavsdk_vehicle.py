@@ -2,15 +2,18 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot_bridge.clock import Paced
 from autopilot_bridge.dialects.known import dialects
 from autopilot_bridge.link import Link
-from autopilot_bridge.mavsdk_vehicle import MavsdkVehicle
+from autopilot_bridge.mavsdk_vehicle import DARK_WALL_S, MavsdkVehicle
+from autopilot_bridge.vehicle import Mode
 
 
 def test_a_flight_by_mavsdk(sitl, fly, bridge_config, tmp_path):
@@ -85,3 +88,80 @@ def test_a_repeat_that_comes_in_between_does_not_delay_the_setpoint_asked_for():
     vehicle.close()
     assert [mavlink.MAVLink(None).decode(bytearray(frame)).vx for frame in setpoints] == [2.0]
     assert vehicle.counters["repeats_dropped"] == 1
+
+
+class TakenOver(Exception):
+    """Raised from waiting, as the loop does once a pilot has chosen a mode."""
+
+
+def commands(sent):
+    """Of the COMMAND_LONGs that were sent."""
+    command_long = bytes([mavlink.MAVLINK_MSG_ID_COMMAND_LONG, 0, 0])
+    decode = mavlink.MAVLink(None).decode
+    return [decode(bytearray(frame)).command for frame in sent if frame[7:10] == command_long]
+
+
+def test_a_command_that_we_have_given_up_waiting_for_is_not_repeated(sitl):
+    """Its ACK was lost, so MAVSDK asks again 0.5 s later; but by then a pilot has chosen."""
+    sent, ack, lost = [], bytes([mavlink.MAVLINK_MSG_ID_COMMAND_ACK, 0, 0]), []
+    autopilot = sitl()
+    link = Link(
+        f"udpin://127.0.0.1:{autopilot.port}",
+        1,
+        tamper_in=lambda datagram: () if lost and datagram[7:10] == ack else (datagram,),
+        tamper_out=lambda frame: sent.append(frame) or (frame,),
+    )
+    clock, taken_over = Paced(1.0, 50), []
+
+    def wait():
+        clock.step(vehicle)
+        if lost and vehicle.telemetry.mode is Mode.RETURN:
+            taken_over.append(True)
+            raise TakenOver
+
+    def wait_for(seconds):
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            clock.step(vehicle)
+
+    vehicle = MavsdkVehicle(link, dialects("auto"), 1, clock, wait)
+    try:
+        vehicle.connect()
+        sent.clear()
+        lost.append("ACKs")
+        with pytest.raises(TakenOver):
+            vehicle.set_mode(Mode.RETURN)
+        asked = commands(sent)
+        assert asked
+        autopilot.pilot(mavlink.MAV_CMD_DO_SET_MODE, 1, 4, 3)
+        wait_for(2.5)
+        assert commands(sent) == asked
+        assert vehicle.telemetry.mode is Mode.HOLD
+        assert vehicle.counters["given_up_dropped"] > 0
+        lost.clear()
+        vehicle.set_mode(Mode.LAND)  # what is asked for anew passes
+        assert vehicle.telemetry.mode is Mode.LAND
+    finally:
+        vehicle.close()
+
+
+def test_nothing_is_asked_of_an_armed_vehicle_that_is_not_heard():
+    """It would arrive after a failsafe has chosen."""
+    sent = []
+    link = Link("udpin://127.0.0.1:0", 1, tamper_out=lambda frame: sent.append(frame) or ())
+    vehicle = MavsdkVehicle(link, dialects("auto"), 1, Paced(1.0, 50), lambda: None)
+    land = bytes(
+        mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_NAV_LAND, 0, *[0.0] * 7).pack(
+            mavlink.MAVLink(None, srcSystem=245, srcComponent=191)
+        )
+    )
+    vehicle._hand_over(land)
+    vehicle.poll(0.0)
+    assert commands(sent) == [mavlink.MAV_CMD_NAV_LAND]
+    vehicle._telemetry = replace(vehicle._telemetry, armed=True)
+    vehicle._heard_at = time.monotonic() - 2 * DARK_WALL_S
+    vehicle._hand_over(land)
+    vehicle.poll(0.0)
+    vehicle.close()
+    assert commands(sent) == [mavlink.MAV_CMD_NAV_LAND]
+    assert vehicle.counters["dark_dropped"] == 1
