@@ -229,7 +229,7 @@ class MavlinkVehicle(Vehicle):
 
     def hear_mode(self) -> None:
         self._until(
-            lambda: self.mode_known() and self._clock.now - self._heartbeat_s <= MODE_NEWS_S,
+            lambda: self.mode_known() and abs(self._clock.now - self._heartbeat_s) <= MODE_NEWS_S,
             MODE_WAIT_S,
         )
 
@@ -486,7 +486,7 @@ class MavlinkVehicle(Vehicle):
     def _in_turn(self, message: Any) -> bool:  # noqa: ANN401
         """Whether a message without a time is newer than all before it, by its frame's number."""
         behind = (self._seq - message.get_seq()) % 256
-        if 0 < behind < OVERTAKEN and self._clock.now - self._seq_s <= WENT_BACK_S:
+        if 0 < behind < OVERTAKEN and abs(self._clock.now - self._seq_s) <= WENT_BACK_S:
             self.counters["late"] += 1
             return False
         self._seq, self._seq_s = message.get_seq(), self._clock.now

@@ -123,6 +123,29 @@ def test_a_late_heartbeat_does_not_undo_a_newer_mode(autopilot, clock):
     assert autopilot.say(beat(LOITER), seq=250).mode is Mode.HOLD
 
 
+def test_frames_of_an_autopilot_that_starts_anew_are_not_late(autopilot, clock):
+    """Its numbers begin anew, and its clock, which must not make it unheard until that is where it was."""
+    clock.now = 1000.0
+    autopilot.say(beat(LOITER), seq=40)
+    clock.now = 5.0
+    assert autopilot.say(beat(OFFBOARD), seq=2).mode is Mode.OFFBOARD
+
+
+def test_a_mode_told_before_the_clock_went_back_is_no_news(autopilot, vehicle, clock, monkeypatch):
+    clock.now = 1000.0
+    autopilot.say(beat(LOITER))
+    clock.now = 5.0
+
+    def wait():
+        clock.now += 0.05
+        if clock.now > 5.2:
+            autopilot.say(beat(OFFBOARD))
+
+    monkeypatch.setattr(vehicle, "_wait", wait)
+    vehicle.hear_mode()
+    assert vehicle.telemetry.mode is Mode.OFFBOARD
+
+
 def test_an_autopilot_that_starts_anew_is_seen_by_its_clock(autopilot):
     autopilot.say(local(100_000))
     assert autopilot.say(local(500)).time_s == 0.5

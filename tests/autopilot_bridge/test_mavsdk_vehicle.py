@@ -90,7 +90,7 @@ def test_a_repeat_that_comes_in_between_does_not_delay_the_setpoint_asked_for():
     assert vehicle.counters["repeats_dropped"] == 1
 
 
-class TakenOver(Exception):
+class TakenOverError(Exception):
     """Raised from waiting, as the loop does once a pilot has chosen a mode."""
 
 
@@ -117,7 +117,7 @@ def test_a_command_that_we_have_given_up_waiting_for_is_not_repeated(sitl):
         clock.step(vehicle)
         if lost and vehicle.telemetry.mode is Mode.RETURN:
             taken_over.append(True)
-            raise TakenOver
+            raise TakenOverError
 
     def wait_for(seconds):
         until = time.monotonic() + seconds
@@ -129,7 +129,7 @@ def test_a_command_that_we_have_given_up_waiting_for_is_not_repeated(sitl):
         vehicle.connect()
         sent.clear()
         lost.append("ACKs")
-        with pytest.raises(TakenOver):
+        with pytest.raises(TakenOverError):
             vehicle.set_mode(Mode.RETURN)
         asked = commands(sent)
         assert asked
