@@ -4,8 +4,8 @@ MAVSDK hands over what it wants to send on threads of its own; it waits in a que
 whose loop has stopped sends nothing, whatever MAVSDK goes on repeating, and one thread writes the log.
 
 MAVSDK repeats the last velocity at 20 Hz for ever. Of its setpoints only those pass that we have just asked for, once
-each: the stream on the wire is ours, and it ends when we stop. It repeats a command until that is acknowledged, also when
-a pilot has taken over meanwhile: what we have given up waiting for is not sent again.
+each: the stream on the wire is ours, and it ends when we stop. It repeats a command until that is acknowledged, also
+when a pilot has taken over meanwhile: what we have given up waiting for is not sent again.
 
 State comes from the same decoded frames as with pymavlink: MAVSDK's telemetry carries no vehicle time, and knows fewer
 modes. Its timeouts and its heartbeat run on the wall clock, which is why it flies at the vehicle's own pace at most.
