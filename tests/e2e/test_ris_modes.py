@@ -12,9 +12,9 @@ from bus.session import free_endpoint, open_session
 from mission.replay import replay
 from mission.supervisor import Node, python
 from mission.transitions import transitions
-from rf_model.seeding import vehicle_seeds
 from rf_model.ris_control import RisControl
 from rf_model.scenario import preset
+from rf_model.seeding import vehicle_seeds
 from rf_model.slot_radio import SlotRadio
 
 PATIENCE_S = 120.0  # only a failing test waits that long; the reference may have to compile
