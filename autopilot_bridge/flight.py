@@ -332,6 +332,7 @@ class Flight:
         mode = vehicle.telemetry.mode
         if mode not in ours:
             return End(None, FAILSAFE, "the link was lost")
+        loop.expected = {mode}  # who chooses another one from here on is obeyed
         return End(mode if mode is Mode.LAND else Mode.RETURN, FAILSAFE, "the link was lost")
 
     def _listen(self) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from airframe.slot_profile import Vector
 from autopilot_bridge.clock import Clock
 from autopilot_bridge.config import BridgeConfig
-from autopilot_bridge.deadman import HEARTBEAT_WALL_S, SILENCE_WALL_S, Attention, Moment, Rung, Silence
+from autopilot_bridge.deadman import HEARTBEAT_WALL_S, NEVER, SILENCE_WALL_S, Attention, Moment, Rung, Silence
 from autopilot_bridge.endings import ERROR, FAILSAFE, End, Yielded
 from autopilot_bridge.fence import outside_m
 from autopilot_bridge.ground import Ground
@@ -17,7 +17,7 @@ from autopilot_bridge.helm import Helm
 from autopilot_bridge.separation import Track
 from autopilot_bridge.slots import SAMPLE_S, Slots, vec3
 from autopilot_bridge.takeoff import Takeoff
-from autopilot_bridge.vehicle import Mode, SilentError, Vehicle
+from autopilot_bridge.vehicle import CARRIED_S, Mode, SilentError, Vehicle
 from bus import messages as m
 
 BREACH_M = 1.0
@@ -26,6 +26,8 @@ PEERS = ("agent", "rf")
 """Nodes without which no action comes."""
 LISTENED_S = 0.02
 """Having listened so short a time ago, we need not listen again before we send."""
+BEAT_S = 1.0
+"""Between two HEARTBEATs of ours, however slow the steps are: ArduCopter's failsafe acts after 5 s without."""
 EARLY_S = 0.02
 """A state may be told this much before its time is due: telemetry does not come to the millisecond."""
 
@@ -69,6 +71,7 @@ class Loop:
         self._malformed = 0
         self._counters: Counter[str] = Counter()
         self._steps = 0
+        self._beaten = NEVER
         self._heard = self._heartbeats = 0
         self._position_s = self._position_told_s = self._state_told_s = 0.0
         ground.objection = self._objection
@@ -285,6 +288,8 @@ class Loop:
             if self._clock.frozen_between_steps and not slots.closed:
                 self._await_action(slots)
         self._take_actions(slots)
+        if self.held and self.helm.steering and slots.acting:  # `hold` means now, not after the slot
+            slots.hold(self._clock.now, "rejected", "held by command")
         if slots.awaiting and self.deadman.late(self._clock.moment):
             slots.hold(self._clock.now, "missing", "no action by the deadline")
         slots.sample(self._clock.now, position, velocity)
@@ -341,7 +346,8 @@ class Loop:
 
     def _report(self) -> None:
         hz = self._config.setpoint_hz
-        if self._steps % hz == 0:
+        if self._clock.moment.since(self._beaten) > BEAT_S - 1e-6 or self._clock.now < self._beaten.vehicle_s:
+            self._beaten = self._clock.moment
             self.vehicle.beat()
         if self._clock.frozen_between_steps:
             if self._steps % round(hz * SAMPLE_S) == 0:
@@ -381,6 +387,7 @@ class Loop:
                 battery_remaining=telemetry.battery_remaining,
                 home_lat_lon_alt=telemetry.home_lat_lon_alt,
                 phase=self.phase,
+                position_age_s=max(0.0, self._clock.now - telemetry.position_s - CARRIED_S),
             )
         )
 

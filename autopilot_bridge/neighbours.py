@@ -9,7 +9,8 @@ each other vehicle becomes a `Track`, which the envelope keeps apart from:
     down for good  disarmed after its flight: no obstacle any more; one that waits for its flight is, since it takes off
 
 Vehicle clocks differ between autopilots, so age is counted from receipt on our wall clock, times the mission's speed.
-A state whose vehicle time stands still is no news: the bridge lives, but hears nothing of its vehicle.
+A state whose vehicle time stands still is no news: the bridge lives, but hears nothing of its vehicle. One with an old
+position is as old as that: the bridge hears of its vehicle, but not where it is.
 """
 
 import time
@@ -157,7 +158,8 @@ class _Neighbour:
     def __init__(self, limits: Limits, speed: float) -> None:
         self._limits, self._speed = limits, speed
         self._news: tuple[VehicleState, Vec3, float] | None = None
-        """Its newest state, its home, and when that came on our wall clock; replaced as a whole, on zenoh's thread."""
+        """Its newest state, its home, and when its position was news on our wall clock; replaced as a whole, on zenoh's
+        thread."""
         self._frames: tuple[tuple[Vec3, Vec3], tuple[Vector, Vector]] | None = None
         """The homes (ours, its) that the last conversion was for, and that."""
 
@@ -168,7 +170,7 @@ class _Neighbour:
         if home is None:
             return
         if last is None or state.time_s > last[0].time_s or state.time_s < last[0].time_s - WENT_BACK_S:
-            self._news = state, home, wall
+            self._news = state, home, wall - state.position_age_s / self._speed
 
     def silent(self, wall: float) -> bool:
         """Whether a flight of it has no bridge any more."""

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from autopilot_bridge.uploaded_fence import FenceItem
 
 
+CARRIED_S = 0.1
+"""Vehicle time over which a position is carried on by its velocity."""
+
+
 class Mode(StrEnum):
     """Flight modes the bridge acts on; every other one is somebody else's. OFFBOARD is the one that flies setpoints."""
 
@@ -79,7 +83,7 @@ class Telemetry:
         """
         if self.position_enu is None or self.velocity_enu is None:
             raise VehicleError("the autopilot gives no local position")
-        ahead = float(np.clip(time_s - self.position_s, 0.0, 0.1))
+        ahead = float(np.clip(time_s - self.position_s, 0.0, CARRIED_S))
         return self.position_enu + self.velocity_enu * ahead, self.velocity_enu
 
 

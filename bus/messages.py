@@ -43,6 +43,8 @@ class VehicleState(Message, frozen=True):
     """Degrees, degrees, metres above mean sea level: what the ENU origin is on the globe."""
     phase: str
     """The bridge's phase: see `autopilot_bridge.node`."""
+    position_age_s: Age = 0.0
+    """How old position and velocity are at `time_s`, beyond the 0.1 s over which they are carried on."""
 
 
 class TrackSample(Message, frozen=True):

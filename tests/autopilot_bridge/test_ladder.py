@@ -150,6 +150,8 @@ def test_positions_that_stop_are_not_steered_by(autopilot, fly, bridge_config, l
     assert 0.3 < lost_s < 0.7
     assert [t for t in sent if opened[3] + 0.7 <= t < opened[7]] == []
     assert modes_in(flight, 5, 7) == {HOLD_MODE[autopilot.personality]}
+    assert {s.position_age_s for s in flight.states if s.time_s < opened[3]} == {0.0}
+    assert min(s.position_age_s for s in flight.states if opened[5] <= s.time_s < opened[7]) > 1.0
     outcomes = [flown.outcome for flown in flight.flown]
     assert len(outcomes) == 14  # slots went on
     assert set(outcomes[9:]) <= {"flown", "clipped"}

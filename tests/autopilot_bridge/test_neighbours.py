@@ -111,8 +111,18 @@ NORTH_30M = (HOME[0] + 30 / 111190.0, HOME[1], HOME[2])
 """A degree of latitude there is 111.19 km."""
 
 
-def state(time_s, *, home=NORTH_30M, armed=True, phase="slots", position=(1.0, 2.0, 20.0), velocity=(2.0, 0.0, 0.0)):
+def state(
+    time_s,
+    *,
+    home=NORTH_30M,
+    armed=True,
+    phase="slots",
+    position=(1.0, 2.0, 20.0),
+    velocity=(2.0, 0.0, 0.0),
+    position_age_s=0.0,
+):
     return m.VehicleState(
+        position_age_s=position_age_s,
         time_s=time_s,
         position_enu=position,
         velocity_enu=velocity,
@@ -230,6 +240,21 @@ def test_a_bridge_that_hears_nothing_of_its_vehicle_tells_no_news(hear):
     (track,) = heard.tracks()
     assert track.stop is not None
     assert [kind for kind, _ in heard.told] == ["neighbour_lost"]
+
+
+@pytest.mark.parametrize("speed", [1.0, 5.0])
+def test_a_neighbour_that_does_not_know_where_it_is_is_lost_too(hear, speed):
+    """Its bridge goes on telling the last place while its autopilot holds, and then flies home."""
+    heard = hear(speed)
+    for tenth in range(12):
+        heard.say("a", state(5.0 + 0.1 * tenth * speed, position_age_s=0.1 * tenth * speed))
+        heard.wall += 0.1
+    (track,) = heard.tracks()
+    np.testing.assert_allclose(track.stop, (0.0, 30.0, 0.0), atol=0.01)
+    assert [kind for kind, _ in heard.told] == ["neighbour_lost"]
+    heard.say("a", state(7.0 + 1.2 * speed))
+    (track,) = heard.tracks()
+    assert track.stop is None
 
 
 def test_a_state_that_comes_late_is_no_news_but_an_autopilot_that_starts_anew_is(hear):

@@ -1,14 +1,17 @@
-"""What nobody thought of ends no flight in the air; a vehicle that somebody else flies is not ours to start."""
+"""What nobody thought of ends no flight in the air, a vehicle that somebody else flies is not ours to start, and `hold`
+means now."""
 
 import io
+import itertools
 import sys
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot_bridge import preflight, slots
+from autopilot_bridge import node, preflight, slots
+from autopilot_bridge.clock import Lockstep
 from autopilot_bridge.ground import Ground
 from bus.session import open_session
-from tests.autopilot_bridge.on_the_wire import asked, read_log
+from tests.autopilot_bridge.on_the_wire import OURS, asked, read_log
 
 
 def test_a_vehicle_that_somebody_else_has_armed_meanwhile_is_not_started(sitl, fly, bridge_config, tmp_path):
@@ -68,3 +71,31 @@ def test_letters_that_our_output_has_not_end_no_flight(monkeypatch):
         ground.tell("statustext", "caf\u00e9")
         assert ground.counters["print_failed"] == 1
         ground.bell.close()
+
+
+def test_a_hold_by_command_is_at_once_and_not_after_the_slot(sitl, fly, bridge_config):
+    flight = fly(bridge_config(sitl("--lockstep"), slot_s=60.0), lambda opened: (30.0, 0.0, 0.0))
+    flight.until_slot(0)
+    flight.until(lambda: flight.states[-1].time_s > flight.slots[0].time_s + 2.0, "its way")
+    assert flight.command("hold").accepted
+    flight.until_phase("holding")
+    told = {event.text: event.time_s for event in flight.events if event.kind in ("command", "phase")}
+    assert told["holding"] - told["hold"] < 0.2
+    flight.until(lambda: flight.states[-1].time_s > told["hold"] + 8.0, "it stands")
+    assert flight.slots[-1].slot == 0
+    assert max(map(abs, flight.states[-1].velocity_enu)) < 0.3
+    assert flight.command("land").accepted
+    assert flight.wait() == 3
+
+
+def test_a_bridge_that_is_slow_beats_once_a_second_all_the_same(sitl, fly, bridge_config, monkeypatch, tmp_path):
+    """ArduCopter takes a ground station for lost after 5 s; steps that take four times as long must not do that."""
+    monkeypatch.setattr(node, "_clock", lambda config: Lockstep(config.clock.control, 4 * config.tick_ms))
+    assert fly(bridge_config(sitl("--lockstep")), tlog=tmp_path / "flight.tlog").wait() == 0
+    beats = [
+        message._timestamp
+        for message in read_log(tmp_path / "flight.tlog")
+        if message.get_type() == "HEARTBEAT" and message.get_srcSystem() == OURS
+    ]
+    gaps = [after - before for before, after in itertools.pairwise(beats)]
+    assert max(gaps) < 1.3

@@ -56,6 +56,7 @@ MESSAGES = {
         battery_remaining=st.none() | st.floats(0, 1),
         home_lat_lon_alt=st.none() | vec3,
         phase=text,
+        position_age_s=st.floats(0, 1e308),
     ),
     m.SlotOpened: st.builds(
         m.SlotOpened,
