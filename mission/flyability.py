@@ -135,7 +135,8 @@ def flyability(log: FlightLog, mission: Mission) -> Flyability | None:
         return None
 
     planned = _planned(opened, flown)
-    commanded = _commanded(planned, flown, mission)
+    # After a slot that somebody else flew both are where he left it: his way is no command of ours.
+    commanded = _commanded(planned, {k: slot for k, slot in flown.items() if k not in left_out}, mission)
     teleports = {k: _teleport(opened[k], planned[k], commanded[k + 1], mission.scenario.slot_s) for k in flown}
     flights = (
         _moved(opened, commanded, teleports, mission),

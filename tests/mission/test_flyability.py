@@ -337,7 +337,17 @@ def test_slots_that_somebody_else_flew_are_left_out():
     all_of_it = flyability(recording(flying, openings(flying)), flying)
     got = flyability(recording(flying, openings(flying), more=[seized]), flying)
     assert (got.left_out, [row.slot for row in got.by_slot]) == ([1], [0, 2])
-    assert got.by_slot == [all_of_it.by_slot[0], all_of_it.by_slot[2]]
+    assert got.by_slot[0] == all_of_it.by_slot[0]
+    before, after = all_of_it.by_slot[2], got.by_slot[1]
+    assert (after.energy_j, after.limits_m, after.tracking_rms_m) == (
+        before.energy_j,
+        before.limits_m,
+        before.tracking_rms_m,
+    )
+    for old, new in ((before.as_set, after.as_set), (before.anew, after.anew)):
+        assert (new.rate_bps.planned, new.rate_bps.flown) == (old.rate_bps.planned, old.rate_bps.flown)
+        assert old.rate_bps.commanded != old.rate_bps.planned
+        assert new.rate_bps.commanded == pytest.approx(new.rate_bps.planned), "nothing led there but somebody else"
 
 
 @pytest.mark.parametrize(
