@@ -128,7 +128,7 @@ class Fleet(Shared):
         try:
             return Mission.model_validate(shared | own)
         except ValidationError as error:
-            raise ValueError(one_line(error, Mission).replace("vehicle.", f"{here}.")) from error
+            raise ValueError(one_line(error, Mission).replace("vehicle.", f"{here}.", 1)) from error
 
     def _once(self, field: str, values: Sequence[object]) -> None:
         for place, value in enumerate(values):
@@ -195,10 +195,12 @@ def check(flown: Mission | Fleet) -> None:
         try:
             mission_file.check(mission)
         except MissionError as error:
-            line = str(error)
-            if flown.vehicles[place].policy is not None:
-                line = line.replace("policy.", f"{SEVERAL}.{place}.policy.")
-            raise MissionError(line.replace("vehicle.", f"{SEVERAL}.{place}.")) from error
+            line, here = str(error), f"{SEVERAL}.{place}."
+            if line.startswith("vehicle."):
+                line = here + line.removeprefix("vehicle.")
+            elif line.startswith("policy.") and flown.vehicles[place].policy is not None:
+                line = here + line
+            raise MissionError(line) from error
 
 
 def _numbered(place: int, vehicle: object) -> object:

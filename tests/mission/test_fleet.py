@@ -119,6 +119,15 @@ FOREIGN = "{autopilot: 'udpin://127.0.0.1:1'}"
             ["vehicles.1.policy.checkpoint", "users"],
         ),
         ("vehicles: [{}, {signing_key: /none}]", ["vehicles.1.signing_key: /none"]),
+        ("vehicles: [{}, {signing_key: /my_vehicle.key}]", ["vehicles.1.signing_key: /my_vehicle.key:"]),
+        (
+            "vehicles: [{}, {policy: {checkpoint: /my_policy.safetensors}}]",
+            ["vehicles.1.policy.checkpoint: ", " /my_policy.safetensors:"],
+        ),
+        (
+            "speed: 2\nvehicles: [{}, {autopilot: 'tcp://vehicle.local:1'}]",
+            ["needs vehicles.1.autopilot", "'tcp://vehicle.local:1'"],
+        ),
         ("vehicles: [{}, {sitl: {personality: inav}}]", ["vehicles.1.sitl.personality: 'inav'"]),
         ("vehicles: [{}, {}]\nvehicles_spacing: 3", ["vehicles_spacing: unknown key, did you mean vehicles_spacing_m"]),
         ("vehicles: [{}, {}]\nvehicles_spacing_m: 0", ["vehicles_spacing_m: 0", "greater than 0"]),
