@@ -233,7 +233,7 @@ class Flight:
         if self._helm.slots is not None:
             self._helm.slots.restart(self._clock.now, position, velocity)
         self._helm.follow(brake(position, velocity, self._helm.bounds.limits.agility))
-        self._loop.expected = {present, Mode.OFFBOARD}
+        self._loop.expected, self._loop.other_mode = {present, Mode.OFFBOARD}, self._vehicle.telemetry.mode_name
         until = self._clock.now + self._vehicle.dialect.stream_before_offboard_s
         while self._clock.now < until:
             self._loop.step()
@@ -391,7 +391,9 @@ class Flight:
         else:
             loop.deadman.sent_home(self._clock.moment, str(end))
         self._hear_mode()
-        loop.expected = (loop.expected or {vehicle.telemetry.mode}) | {Mode.RETURN, Mode.LAND}
+        if not loop.expected:
+            loop.expected, loop.other_mode = {vehicle.telemetry.mode}, vehicle.telemetry.mode_name
+        loop.expected = loop.expected | {Mode.RETURN, Mode.LAND}
         if end.mode is Mode.LAND:
             self._land()
             return

@@ -55,6 +55,8 @@ class Loop:
         """No actions are flown: by command, or because somebody else flies."""
         self.expected: set[Mode] = set()
         """Modes that are our doing; empty: the vehicle is not ours, any will do."""
+        self.other_mode = ""
+        """Which one `Mode.OTHER` means in `expected`: they are many."""
         self.takeoff: Takeoff | None = None
         """The one that is being flown."""
         self.resting = False
@@ -243,7 +245,10 @@ class Loop:
     def _taken(self) -> bool:
         """Whether the vehicle was ours, and a HEARTBEAT has told that it no longer is."""
         telemetry = self.vehicle.telemetry
-        return bool(self.expected) and telemetry.armed and (telemetry.mode not in self.expected or self._broken_off)
+        ours = telemetry.mode in self.expected and not self._broken_off
+        if telemetry.mode is Mode.OTHER:
+            ours = ours and telemetry.mode_name == self.other_mode
+        return bool(self.expected) and telemetry.armed and not ours
 
     def _may_send(self) -> bool:
         """Whether a setpoint may go out now: the vehicle is ours for all that we know, and we know it from just now."""

@@ -35,6 +35,8 @@ def run(
     served = contextlib.ExitStack()
     with contextlib.closing(ground.bell), served, _interrupted_by(lambda: ground.commands.put("land")):
         try:
+            if vehicle in others:
+                raise ValueError(f"others: {vehicle!r} is this vehicle itself, which nobody can keep apart from")
             link = Link(config.autopilot, config.system_id, tlog, signing=_signing(config), bell=ground.bell)
             with contextlib.closing(link):
                 code = _fly(config, ground, link, served, session, others if config.separation_m > 0 else ())

@@ -13,6 +13,7 @@ from autopilot_bridge.link import Link
 from tests.autopilot_bridge.on_the_wire import OFFBOARD, asked, heard_mode, of_vehicle, read_log
 
 TALL = {"x": (-50, 50), "y": (-50, 50), "z": (8, 90)}
+ALT_HOLD = 2
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 MODES = {
     "px4": {name: (1, 4, sub) for name, sub in (("hold", 3), ("return", 5), ("land", 6))},
@@ -200,3 +201,31 @@ def test_px4_would_give_itself_back_to_a_stream(sitl, fly, bridge_config, tmp_pa
     assert asked(log[home:]) == []
     flying = [m for i, m in of_vehicle(log, "HEARTBEAT") if i > home and m.base_mode & ARMED]
     assert all(m.custom_mode != OFFBOARD[m.autopilot] for m in flying)
+
+
+def test_a_second_mode_of_the_pilots_while_control_is_taken_again(sitl, fly, bridge_config, tmp_path, monkeypatch):
+    """To us both are just somebody else's; `resume` was for the first. Our asking is lost, so that he is in time."""
+    autopilot, lost = sitl("--lockstep", "--personality", "arducopter"), []
+
+    def out(frame):
+        command = mavlink.MAVLink(None).decode(bytearray(frame))
+        if lost and command.get_type() == "COMMAND_LONG" and command.command == mavlink.MAV_CMD_DO_SET_MODE:
+            autopilot.pilot(mavlink.MAV_CMD_DO_SET_MODE, 1, ALT_HOLD)
+            return ()
+        return (frame,)
+
+    monkeypatch.setattr(node, "Link", partial(Link, tamper_out=out))
+    tlog = tmp_path / "flight.tlog"
+    flight = fly(bridge_config(autopilot, slots=2000), lambda opened: (0.2, 0.0, 0.0), tlog=tlog)
+    flight.until_slot(2)
+    autopilot.pilot(mavlink.MAV_CMD_DO_SET_MODE, *MODES["arducopter"]["loiter"])
+    flight.until_phase("yielded")
+    lost.append("our asking")
+    assert flight.command("resume").accepted
+    flight.until(lambda: len(flight.told("mode")) == 2, "the second taking over")
+    assert flight.phases[-1] == "yielded"
+    lost.clear()
+    autopilot.pilot(mavlink.MAV_CMD_DO_SET_MODE, *MODES["arducopter"]["land"])
+    assert flight.wait() == 3
+    log = read_log(tlog)
+    assert asked(log[heard_mode(log, ALT_HOLD) :]) == []

@@ -4,12 +4,14 @@ means now."""
 import io
 import itertools
 import sys
+from types import SimpleNamespace
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot_bridge import node, preflight, slots
 from autopilot_bridge.clock import Lockstep
 from autopilot_bridge.ground import Ground
+from autopilot_bridge.node import run
 from bus.session import open_session
 from tests.autopilot_bridge.on_the_wire import OURS, asked, read_log
 
@@ -99,3 +101,10 @@ def test_a_bridge_that_is_slow_beats_once_a_second_all_the_same(sitl, fly, bridg
     ]
     gaps = [after - before for before, after in itertools.pairwise(beats)]
     assert max(gaps) < 1.3
+
+
+def test_a_vehicle_is_not_its_own_neighbour(bridge_config, capsys):
+    config = bridge_config(SimpleNamespace(port=14540, control=None), separation_m=5.0)
+    with open_session() as session:
+        assert run(config, "test", session, None, others=["other", "test"]) == 1
+    assert "error: others: 'test' is this vehicle itself" in capsys.readouterr().out
