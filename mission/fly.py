@@ -238,7 +238,9 @@ class _Flight:
             vehicle.view.note(f"error: {vehicle.error}")
 
     def _start_flights(self) -> None:
-        """When all are there; once one has started, each other one as soon as it is taken."""
+        """When all are there; once one has started, each other one as soon as it is taken; none after Ctrl-C."""
+        if self._obeyed:
+            return
         waiting = [vehicle for vehicle in self._vehicles if vehicle.flying and not vehicle.started]
         there = all(vehicle.ready if self._several else not vehicle.missing for vehicle in waiting)
         if there or self._any_started:
