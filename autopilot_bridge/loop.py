@@ -393,6 +393,7 @@ class Loop:
                 home_lat_lon_alt=telemetry.home_lat_lon_alt,
                 phase=self.phase,
                 position_age_s=max(0.0, self._clock.now - telemetry.position_s - CARRIED_S),
+                stop_enu=vec3(self.helm.stop(position, velocity)) if telemetry.armed else None,
             )
         )
 

@@ -3,7 +3,8 @@
 Every bridge tells its vehicle's state with the place on the globe that its ENU counts from. Here the newest state of
 each other vehicle becomes a `Track`, which the envelope keeps apart from:
 
-    heard          where it is, carried on by its velocity; as old as its last news, never less than `usual_age_s`
+    heard          where it is and where it would stop, by its own bridge's word (it may brake otherwise than ours),
+                   carried on by its velocity; as old as its last news, never less than `usual_age_s`
     silent         no news for `LOST_WALL_S`: its bridge is dead or frozen, its autopilot's failsafe has it (lands or
                    returns). It is anywhere on the straight way from where it could have stopped to its home
     down for good  disarmed after its flight: no obstacle any more; one that waits for its flight is, since it takes off
@@ -184,11 +185,14 @@ class _Neighbour:
         offset, rotation = self._between(home, its_home)
         position, velocity = offset + rotation @ state.position_enu, rotation @ state.velocity_enu
         usual_s = usual_age_s(self._speed)
+        stop = None if state.stop_enu is None else offset + rotation @ state.stop_enu
         if wall - came > LOST_WALL_S:
-            stop = stopping_point(position, velocity, self._limits, LOST_WALL_S)
-            return Track(stop, np.zeros(3), usual_s, stop=offset)
+            if stop is None:
+                stop = stopping_point(position, velocity, self._limits)
+            return Track(stop + velocity * LOST_WALL_S, np.zeros(3), usual_s, stop=offset)
         age_s = (wall - came) * self._speed
-        return Track(position + velocity * min(age_s, usual_s), velocity, max(age_s, usual_s))
+        carried = velocity * min(age_s, usual_s)
+        return Track(position + carried, velocity, max(age_s, usual_s), None if stop is None else stop + carried)
 
     def _between(self, ours: Vec3, theirs: Vec3) -> tuple[Vector, Vector]:
         if self._frames is None or self._frames[0] != (ours, theirs):

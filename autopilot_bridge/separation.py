@@ -28,7 +28,7 @@ class Track:
     age_s: float = 0.0
     """How old this is: it may have moved meanwhile, and we may have been seen elsewhere."""
     stop: Vector | None = None
-    """Where it comes to rest, when that is not by braking now: the far end of the way that it keeps to itself."""
+    """Where it comes to rest, the far end of the way that it keeps to itself; None: by braking as we do."""
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,8 @@ class VehicleState(Message, frozen=True):
     """The bridge's phase: see `autopilot_bridge.node`."""
     position_age_s: Age = 0.0
     """How old position and velocity are at `time_s`, beyond the 0.1 s over which they are carried on."""
+    stop_enu: Vec3 | None = None
+    """Where it comes to rest if it brakes now, as its own bridge's envelope has it; None while it is not armed."""
 
 
 class TrackSample(Message, frozen=True):

@@ -120,9 +120,11 @@ def state(
     position=(1.0, 2.0, 20.0),
     velocity=(2.0, 0.0, 0.0),
     position_age_s=0.0,
+    stop=None,
 ):
     return m.VehicleState(
         position_age_s=position_age_s,
+        stop_enu=stop,
         time_s=time_s,
         position_enu=position,
         velocity_enu=velocity,
@@ -213,6 +215,15 @@ def test_a_neighbour_is_where_its_bridge_says_and_as_old_as_its_news(hear, speed
     (track,) = heard.tracks(after_s=0.58)
     assert track.age_s == pytest.approx(0.6 * speed)
     np.testing.assert_allclose(track.position, (1.0 + 2.0 * usual_age_s(speed), 32.0, 20.0), atol=0.01)
+
+
+def test_a_neighbour_stops_where_its_own_bridge_says(hear):
+    heard = hear()
+    heard.say("a", state(5.0, stop=(9.0, 2.0, 20.0)))
+    (track,) = heard.tracks(after_s=0.05)
+    np.testing.assert_allclose(track.stop, (9.0 + 2.0 * 0.05, 32.0, 20.0), atol=0.01)
+    (lost,) = heard.tracks(after_s=LOST_WALL_S)
+    np.testing.assert_allclose(lost.position, (9.0 + 2.0 * LOST_WALL_S, 32.0, 20.0), atol=0.01)
 
 
 def test_a_silent_neighbour_is_anywhere_on_its_way_home(hear):

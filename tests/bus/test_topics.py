@@ -57,6 +57,7 @@ MESSAGES = {
         home_lat_lon_alt=st.none() | vec3,
         phase=text,
         position_age_s=st.floats(0, 1e308),
+        stop_enu=st.none() | vec3,
     ),
     m.SlotOpened: st.builds(
         m.SlotOpened,
