@@ -196,11 +196,20 @@ class _Flight:
         sitls = {id(vehicle.sitl) for vehicle in self._vehicles}
         loop = [vehicle.bridge for vehicle in self._vehicles if vehicle.bridge is not None]
         loop += [node for node in self._shared.values() if id(node) not in sitls]
+        if not self._any_started:
+            self._call_off()
         # Who never saw them fly, waits on.
         end_all(loop, patience_s=GATHER_S if all_ended and self._any_started else 0.0)
         if not self.abandoned:
             down = all_ended and not any(vehicle.armed for vehicle in self._vehicles)
             end_all(list(self._shared.values()), patience_s=GATHER_S if down else 0.0)
+
+    def _call_off(self) -> None:
+        """Before the start: a bridge that sees the mission gone ends, after it has put back what preflight has set."""
+        for vehicle in self._vehicles:
+            vehicle.leave()
+        foreign = [one.bridge for one in self._vehicles if one.bridge is not None and not one.mission.embedded]
+        end_all(foreign, patience_s=GATHER_S)
 
     # The flight.
 

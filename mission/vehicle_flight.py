@@ -195,8 +195,8 @@ class VehicleFlight:
 
     def leave(self) -> None:
         """Off the bus; the recording goes on until `close`."""
-        for declared in self._declared:
-            declared.undeclare()
+        while self._declared:
+            self._declared.pop().undeclare()
 
     def close(self) -> None:
         """End the recording."""

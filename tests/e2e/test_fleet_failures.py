@@ -2,9 +2,13 @@
 
 import os
 import signal
+import subprocess
+import sys
+import time
 
 from bus import topics
-from tests.e2e.fleets import await_slot, bridge, fleet, logs
+from mission.embedded import bindable
+from tests.e2e.fleets import PATIENCE_S, await_slot, bridge, fleet, logs
 
 
 def test_when_a_bridge_dies_the_others_fly_on(launch):
@@ -46,3 +50,32 @@ def test_none_starts_when_one_cannot(launch):
     assert "error: b: " in flight.text
     assert "arming" not in flight.text
     assert not any(state.armed for state in logs(flight, "a")["a"].messages(topics.STATE))
+
+
+def test_ctrl_c_before_the_start_leaves_no_parameter_changed(launch, tmp_path):
+    """One autopilot is somebody else's, and ready, the other is awaited still: what was set is put back."""
+    port, silent = bindable(0), bindable(0)
+    mission = fleet(2) | {"speed": 1}
+    mission["vehicles"] = [
+        {"name": "a", "autopilot": f"udpin://127.0.0.1:{port}", "allow_without": ["battery_failsafe"]},
+        {"name": "b", "autopilot": f"udpin://127.0.0.1:{silent}"},
+    ]
+    options = ("--companion-port", str(port), "--companion-bind", "0", "--gcs-bind", "0")
+    foreign = subprocess.Popen([sys.executable, "-m", "sitl", *options], stdout=subprocess.DEVNULL)
+    try:
+        flight = launch(mission, XDG_STATE_HOME=str(tmp_path))
+        deadline = time.monotonic() + PATIENCE_S
+        while "a: ready" not in flight.text:
+            assert time.monotonic() < deadline, flight.text
+            assert flight.process.poll() is None, flight.text
+            time.sleep(0.05)
+        (journal,) = tmp_path.rglob("*.jsonl")
+        assert "COM_OBL_RC_ACT" in journal.read_text()
+        os.kill(flight.process.pid, signal.SIGINT)
+        assert flight.wait() == 1, flight.text
+    finally:
+        foreign.kill()
+        foreign.wait()
+    assert "interrupted before the start" in flight.text
+    assert not flight.processes()
+    assert journal.read_text() == "", "what was put back is settled"
