@@ -104,17 +104,22 @@ class Flight:
         except VehicleError as error:
             if self.down:
                 raise
-            ending = End(Mode.RETURN, FAILSAFE, str(error))
+            ending = End(self._way_down, FAILSAFE, str(error))
             self._loop.tell("failsafe", str(error))
         except LinkError:
             raise
         except Exception as error:  # what nobody thought of must not end it in the air
             if self.down:
                 raise
-            ending = End(Mode.RETURN, ERROR, in_our_code(error))
+            ending = End(self._way_down, ERROR, in_our_code(error))
             self._loop.tell("error", str(ending))
         code = self._come_down(ending)
         return ERROR if ending.code == ERROR else code
+
+    @property
+    def _way_down(self) -> Mode | None:
+        """After a mistake; somebody else's vehicle comes down as he likes."""
+        return None if self._loop.phase == "yielded" else Mode.RETURN
 
     def _preflight(self) -> None:
         self._loop.enter("preflight")

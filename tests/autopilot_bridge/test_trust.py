@@ -13,7 +13,7 @@ from autopilot_bridge.clock import Lockstep
 from autopilot_bridge.ground import Ground
 from autopilot_bridge.node import run
 from bus.session import open_session
-from tests.autopilot_bridge.on_the_wire import OURS, asked, read_log
+from tests.autopilot_bridge.on_the_wire import OURS, asked, heard_mode, read_log
 
 
 def test_a_vehicle_that_somebody_else_has_armed_meanwhile_is_not_started(sitl, fly, bridge_config, tmp_path):
@@ -52,6 +52,28 @@ def test_a_mistake_of_ours_in_the_air_brings_it_home_and_is_told(sitl, fly, brid
     assert not flight.states[-1].armed
     assert flight.events[-1].exit_code == 1
     assert "plan_slot" in capfd.readouterr().err
+
+
+def test_a_mistake_of_ours_while_a_pilot_flies_is_not_his_to_pay_for(sitl, fly, bridge_config, monkeypatch, tmp_path):
+    def sample(*_):
+        raise KeyError("nobody thought of this")
+
+    autopilot = sitl("--lockstep")
+    flight = fly(bridge_config(autopilot, slots=2000), tlog=tmp_path / "flight.tlog")
+    flight.until_slot(2)
+    autopilot.pilot(mavlink.MAV_CMD_DO_SET_MODE, 1, 4, 3)
+    flight.until_phase("yielded")
+    monkeypatch.setattr(slots.Slots, "sample", sample)
+    flight.until(lambda: flight.told("error"), "the mistake")
+    made_s = flight.states[-1].time_s
+    flight.until(lambda: flight.states[-1].time_s > made_s + 3.0, "what comes of it")
+    assert flight.states[-1].mode == "AUTO.LOITER"
+    autopilot.pilot(mavlink.MAV_CMD_DO_SET_MODE, 1, 4, 6)
+    assert flight.wait() == 1
+    log = read_log(tmp_path / "flight.tlog")
+    taken = heard_mode(log, 6 << 16)
+    taken += heard_mode(log[taken:], 4 << 16 | 3 << 24)
+    assert asked(log[taken:]) == []
 
 
 def test_a_mistake_of_ours_on_the_ground_ends_it_with_a_word(sitl, fly, bridge_config, monkeypatch):
