@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 from rich.console import Group, RenderableType
 from rich.table import Table
+from rich.text import Text
 
 from bus import topics
 from bus.messages import LinkReport, Vec3
@@ -129,6 +130,36 @@ def summarise(run: Path, log: FlightLog, mission: Mission | None) -> Report:
 
 def table(report: Report) -> RenderableType:
     """The report as shown after a flight."""
+    total = Table(show_header=False)
+    total.add_column()
+    total.add_column(justify="right")
+    for name, value in _slot_rows(report) if report.slots else ():
+        total.add_row(name, value)
+    if report.setpoints is not None:
+        for name, value in _setpoint_rows(report.setpoints):
+            total.add_row(name, value)
+    if report.slots and report.flyability is None:
+        why = "no mission.yaml" if report.seed is None else "no slot was recorded whole and flown by us"
+        total.add_row("flyability", f"unknown: {why}")
+    if not report.log_complete:
+        total.add_row("recording cut short", f"{report.log_lost_bytes} bytes unreadable")
+    none = f"{report.mission}: no slot was flown; the flight ended with: {report.ended}"
+    parts: list[RenderableType] = [_users_table(report) if report.slots else Text(none)]
+    if total.row_count:
+        parts.append(total)
+    if report.flyability is not None:
+        parts.append(_flyability_table(report.flyability))
+        left_out = report.flyability.left_out
+        if left_out:
+            parts.append(f"left out: {len(left_out)} slots that somebody else flew, the first is {left_out[0]}")
+        if report.flyability.difference:
+            parts.append(f"flyability cannot be trusted: {report.flyability.difference}")
+    if report.setpoints is not None:
+        parts += [f"proof log: {line}" for line in report.setpoints.contradictions]
+    return Group(*parts)
+
+
+def _users_table(report: Report) -> Table:
     users = Table(title=f"{report.mission}: {report.slots} of {report.slots_planned} slots", title_justify="left")
     users.add_column("user", justify="right")
     users.add_column("side at the start")
@@ -136,12 +167,12 @@ def table(report: Report) -> RenderableType:
     users.add_column(f"slots below {report.qos_bps / 1e3:g} kbit/s", justify="right")
     for number, user in enumerate(report.users):
         users.add_row(str(number), user.region, f"{user.mean_rate_bps / 1e3:.0f}", f"{user.below_qos:.0%}")
+    return users
 
-    total = Table(show_header=False)
-    total.add_column()
-    total.add_column(justify="right")
+
+def _slot_rows(report: Report) -> Iterator[tuple[str, str]]:
     moved = report.displacement
-    for name, value in (
+    yield from (
         ("harmonic fairness index", f"{report.hfi:.3f}"),
         ("sum rate", f"{report.sum_rate_bps / 1e6:.3f} Mbit/s"),
         ("energy", f"{report.energy_j / 1e3:.2f} kJ ({report.power_w:.0f} W)"),
@@ -159,27 +190,7 @@ def table(report: Report) -> RenderableType:
             "actions rejected / clipped / late / missing",
             " / ".join(str(report.actions.get(outcome, 0)) for outcome in ("rejected", "clipped", "late", "missing")),
         ),
-    ):
-        total.add_row(name, value)
-    if report.setpoints is not None:
-        for name, value in _setpoint_rows(report.setpoints):
-            total.add_row(name, value)
-    if report.slots and report.flyability is None:
-        why = "no mission.yaml" if report.seed is None else "no slot was recorded whole"
-        total.add_row("flyability", f"unknown: {why}")
-    if not report.log_complete:
-        total.add_row("recording cut short", f"{report.log_lost_bytes} bytes unreadable")
-    parts: list[RenderableType] = [users, total]
-    if report.flyability is not None:
-        parts.append(_flyability_table(report.flyability))
-        left_out = report.flyability.left_out
-        if left_out:
-            parts.append(f"left out: {len(left_out)} slots that somebody else flew, the first is {left_out[0]}")
-        if report.flyability.difference:
-            parts.append(f"flyability cannot be trusted: {report.flyability.difference}")
-    if report.setpoints is not None:
-        parts += [f"proof log: {line}" for line in report.setpoints.contradictions]
-    return Group(*parts)
+    )
 
 
 def _setpoint_rows(sent: Setpoints) -> Iterator[tuple[str, str]]:

@@ -68,6 +68,20 @@ def test_a_flight_that_never_reached_a_slot_has_a_report_and_no_picture(tmp_path
     written = report.write(tmp_path)
     assert (written.slots, written.users, written.exit_code, written.hfi) == (0, [], None, 0.0)
     assert not (tmp_path / "report.png").exists()
+    console = Console(record=True, width=120)
+    console.print(report.table(written))
+    (line,) = console.export_text().splitlines()
+    assert line.endswith(": no slot was flown; the flight ended with: the log holds no end of the flight")
+
+
+def test_what_a_flight_without_slots_contradicts_is_shown(tmp_path, record):
+    log = flight_log.read(record(tmp_path, []))
+    sent = Setpoints(2, {"hold": 2}, {}, 0.05, None, 0.1, ["setpoint at 3.00 s: slot 9 never opened"])
+    console = Console(record=True, width=120)
+    console.print(report.table(replace(report.summarise(tmp_path, log, None), setpoints=sent)))
+    text = console.export_text()
+    assert "setpoint at 3.00 s: slot 9 never opened" in text
+    assert re.search(r"setpoints\s+│\s+2 │", text)
 
 
 def test_a_disk_that_is_full_leaves_the_last_report_whole(run):
