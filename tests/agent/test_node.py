@@ -51,17 +51,17 @@ def channel_state(slot: int, scenario: Scenario = SMALL) -> m.ChannelState:
 class World:
     """The rest of the loop: a session that sends channel states and hears everything the agent says."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, vehicle: str = VEHICLE) -> None:
         self.session = session
         self.actions: queue.Queue[m.Action] = queue.Queue()
         self.health: queue.Queue[m.NodeHealth] = queue.Queue()
         self.alive: queue.Queue[tuple[str, bool]] = queue.Queue()
-        self.csi = topics.Publisher(session, VEHICLE, topics.CSI)
-        self.event = topics.Publisher(session, VEHICLE, topics.EVENT)
+        self.csi = topics.Publisher(session, vehicle, topics.CSI)
+        self.event = topics.Publisher(session, vehicle, topics.EVENT)
         self.held = [
-            topics.subscribe(session, VEHICLE, topics.ACTION, self.actions.put, topics.Counter()),
-            topics.subscribe(session, VEHICLE, topics.HEALTH, self.health.put, topics.Counter()),
-            topics.watch_alive(session, VEHICLE, lambda name, alive: self.alive.put((name, alive))),
+            topics.subscribe(session, vehicle, topics.ACTION, self.actions.put, topics.Counter()),
+            topics.subscribe(session, vehicle, topics.HEALTH, self.health.put, topics.Counter()),
+            topics.watch_alive(session, vehicle, lambda name, alive: self.alive.put((name, alive))),
         ]
 
     def ask(self, message: m.ChannelState) -> m.Action:
@@ -147,6 +147,68 @@ def test_same_channel_states_and_seed_give_the_same_actions_also_after_a_restart
             return [world.ask(channel_state(slot)) for slot in slots]
 
     assert fly([0, 1, 2])[2:] == fly([2])
+
+
+@contextmanager
+def flying_two(tasks: dict[str, node.Task]) -> Iterator[tuple[list[World], Callable[[], int], threading.Thread]]:
+    """One node for two vehicles, and the world of each."""
+    endpoint = free_endpoint()
+    codes: queue.Queue[int] = queue.Queue()
+    with open_session(listen=endpoint) as ours, open_session(connect=[endpoint]) as its:
+        worlds = [World(ours, name) for name in tasks]
+        thread = threading.Thread(target=lambda: codes.put(node.run(tasks, its, until_ended=True)), daemon=True)
+        thread.start()
+        for world in worlds:
+            world.wait_alive("agent")
+        yield worlds, lambda: codes.get(timeout=20), thread
+        for world in worlds:
+            world.end()
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def test_each_of_two_vehicles_is_flown_by_its_own_policy_and_seed_until_both_have_ended():
+    tasks = {
+        "a": node.Task(PolicyConfig(kind="random"), SMALL, 5),
+        "b": node.Task(PolicyConfig(kind="random"), SMALL, 6),
+    }
+    alone = []
+    for task in tasks.values():
+        with flying(task.policy, seed=task.seed) as (world, _):
+            alone.append([world.ask(channel_state(slot)) for slot in range(2)])
+    with flying_two(tasks) as ((first, second), exit_code, thread):
+        together = [[world.ask(channel_state(slot)) for world in (first, second)] for slot in range(2)]
+        assert [list(actions) for actions in zip(*together, strict=True)] == alone
+        assert alone[0] != alone[1]
+        first.end()
+        while first.alive.get(timeout=20) != ("agent", False):
+            pass
+        assert second.ask(channel_state(2)).slot == 2
+        assert thread.is_alive()
+        second.end()
+        assert exit_code() == 0
+
+
+def test_a_vehicle_on_which_the_policy_fails_is_left_and_the_other_flies_on(monkeypatch, capsys):
+    """Nothing that comes over the bus makes a policy fail, so one is made that does."""
+    sound = node.make_policy
+
+    class Failing:
+        name = "failing"
+
+        def __call__(self, state: torch.Tensor, slot: int) -> torch.Tensor:
+            raise ZeroDivisionError
+
+    monkeypatch.setattr(node, "make_policy", lambda *task: Failing() if task[2] == 99 else sound(*task))
+    hover = PolicyConfig(kind="hover")
+    with flying_two({"a": node.Task(hover, SMALL, 1), "b": node.Task(hover, SMALL, 99)}) as ((first, second), code, _):
+        second.csi.send(channel_state(0))
+        while second.alive.get(timeout=20) != ("agent", False):
+            pass
+        assert first.ask(channel_state(0)).slot == 0
+        first.end()
+        assert code() == 1
+    assert "agent: b failed" in capsys.readouterr().err
 
 
 def test_it_ends_with_the_bridges_last_event(trained):
