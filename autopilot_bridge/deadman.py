@@ -29,7 +29,8 @@ wall clock in seconds of vehicle time (times the speed of a simulation), since v
 the vehicle stands still while we wait for something, so there both are vehicle time, and the wall clock counts only
 through `action_wait_wall_s`. Silence is judged on the wall clock alone.
 
-Below all of this stands the autopilot's own failsafe, which needs nothing from us but that we stop.
+Below all of this stands the autopilot's own failsafe, which needs nothing from us but that we stop (docs/safety.md says
+where PX4 has none: in takeoff and in its hold mode).
 
 Time is an argument everywhere, so that tests need no sleep.
 """
