@@ -19,6 +19,8 @@ LENGTH_TOLERANCE = 1e-5
 """Relative; an action computed in float32 may be this much longer than it should."""
 REACH = "acceleration"
 """The one reason that is no clipping: how far a multicopter gets in a slot, told by planned against commanded."""
+LEFT_BEHIND_M = 2.0
+"""A vehicle that the envelope holds back so far from its plan does not chase it: the next plan begins where it is."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class Slots:
         self._opening: Reference = self._profile.at(0.0)
         self._opened_at: Vector = position
         self._reasons: list[str] = []
+        self._held_back = False
+        """Whether the envelope has changed setpoints of the open slot."""
         self._commanded: Vector = np.zeros(3)
         self._track: list[TrackSample] = []
         self._plan: list[TrackSample] = []
@@ -79,10 +83,16 @@ class Slots:
         return not self.closed and time_s >= self.opening_s + self._config.slot_s - 1e-6
 
     def open(self, position: Vector, velocity: Vector, attitude_rad: Vec3) -> SlotOpened:
-        """Close the open slot and open the next one (after the last: a closing one)."""
+        """Close the open slot and open the next one (after the last: a closing one).
+
+        The plan goes on from its own end, so that tracking errors never leak into it, unless the envelope has held the
+        vehicle back: then it would run away, and the vehicle, once free, after it.
+        """
         closing_s = self.opening_s + self._config.slot_s
         flown = self._close(position, closing_s) if self.number >= 0 else None
-        self.number += 1
+        if self._held_back and np.linalg.norm(self.reference(closing_s).position - position) > LEFT_BEHIND_M:
+            self.restart(closing_s, position, velocity)
+        self.number, self._held_back = self.number + 1, False
         self._opening, self._opened_at = self.reference(closing_s), position
         self.outcome, self._reasons, self._commanded = None, [], np.zeros(3)
         self._track, self._plan = [], []
@@ -140,12 +150,13 @@ class Slots:
         self._profile, self._since_s = brake(now.position, now.velocity, self._limits.agility, now.acceleration), time_s
 
     def restart(self, time_s: float, position: Vector, velocity: Vector) -> None:
-        """Somebody else flew: the reference goes on, braking, from where the vehicle really is."""
+        """The vehicle was not ours to fly: the reference goes on, braking, from where it really is."""
         self._profile, self._since_s = brake(position, velocity, self._limits.agility), time_s
         self.order = None
 
     def clipped(self, reason: str) -> None:
         """The envelope changed a setpoint of the open slot."""
+        self._held_back = True
         if self.outcome == "flown":
             self.outcome = "clipped"
         if reason not in self._reasons:

@@ -153,3 +153,31 @@ def test_what_the_envelope_changed_is_told(slots, make_action):
 
 def test_nothing_said_at_all_is_missing(slots):
     assert run_slot(slots).flown.outcome == "missing"
+
+
+def test_a_plan_does_not_run_away_from_a_vehicle_that_the_envelope_holds_back(slots, make_action):
+    began = START
+    for number in range(2):
+        slots.act(make_action(number, (8.0, 0.0, 0.0)), slots.opening_s)
+        slots.clipped("envelope: separation")
+        ahead = slots.reference(slots.opening_s + 1.0).position
+        place = ahead - np.array([2.5, 0.0, 0.0])
+        flown = run_slot(slots, position=place).flown
+        assert flown.planned_enu == pytest.approx(ahead - began), "what was planned is told as it was"
+        assert slots.reference(slots.opening_s).position == pytest.approx(place), "the next plan begins where it is"
+        assert slots.order is None
+        began = place
+
+
+def test_what_tracking_loses_does_not_leak_into_the_plan(slots, make_action):
+    slots.act(make_action(0, (8.0, 0.0, 0.0)), T0)
+    ahead = slots.reference(T0 + 1.0).position
+    run_slot(slots, position=START)
+    assert slots.reference(slots.opening_s).position == pytest.approx(ahead), "nobody held it back"
+
+
+def test_a_touch_of_the_envelope_leaves_the_plan_whole(slots, make_action):
+    slots.act(make_action(0, (1.0, 0.0, 0.0)), T0)
+    slots.clipped("envelope: fence")
+    run_slot(slots, position=np.array([0.2, 0.0, 60.0]))
+    assert slots.reference(slots.opening_s).position == pytest.approx([1.0, 0.0, 60.0])
