@@ -39,6 +39,7 @@ def _line(detail: ErrorDetails, model: type[BaseModel]) -> str:
     value = repr(detail["input"])
     if len(value) > VALUE_MAX:
         value = "..."
+    message = message.replace("a valid tuple", "a list")  # as YAML and JSON call it
     return f"{f'{field}: ' if field else ''}{value} is not allowed: {message[:1].lower()}{message[1:]}"
 
 

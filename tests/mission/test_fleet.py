@@ -96,7 +96,7 @@ FOREIGN = "{autopilot: 'udpin://127.0.0.1:1'}"
     [
         ("vehicles: []", ["vehicles: 0 given", "2 to 100", "`vehicle`"]),
         ("vehicles: [{}]", ["vehicles: 1 given", "2 to 100"]),
-        ("vehicles: 3", ["vehicles: 3", "tuple"]),
+        ("vehicles: 3", ["vehicles: 3", "should be a list"]),
         ("vehicles: [{}, 3]", ["vehicles.1: 3"]),
         ("vehicle: {}\nvehicles: [{}, {}]", ["vehicles: in place of vehicle"]),
         ("clock: lockstep\nvehicles: [{}, {}]", ["clock: 'lockstep'", "one vehicle", "'paced'"]),

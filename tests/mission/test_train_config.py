@@ -22,7 +22,7 @@ def test_numbers_may_be_whole_and_have_exponents(tmp_path):
         ('actor_lr: "1e-4"', "actor_lr: '1e-4' is not allowed: input should be a valid number"),
         ("discount: true", "discount: True is not allowed: input should be a valid number"),
         ('hidden: ["64"]', "hidden.0: '64' is not allowed: input should be a valid integer"),
-        ("hidden: 64", "hidden: 64 is not allowed: input should be a valid tuple"),
+        ("hidden: 64", "hidden: 64 is not allowed: input should be a list"),
         ("hidden: []", "hidden: [] is not allowed"),
         ("actor_rl: 1.0e-4", "actor_rl: unknown key, did you mean actor_lr or"),
         ("xyzzy: 1", "xyzzy: unknown key, allowed are seed, environments"),
