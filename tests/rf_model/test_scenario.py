@@ -127,7 +127,7 @@ def test_path_loss_overrides_one_link_and_keeps_the_others():
         ({"extrapolate": 1}, ["extrapolate: 1", "boolean"]),
         ({"phase_bits": True}, ["phase_bits: True", "integer"]),
         ({"start_enu": (0, "0", 60)}, ["start_enu.1: '0'", "number"]),
-        ({"start_enu": "abc"}, ["start_enu: 'abc'", "tuple"]),
+        ({"start_enu": "abc"}, ["start_enu: 'abc'", "should be a list"]),
         ({"box_enu": ((-1, 1), (-1, True), (30, 60))}, ["box_enu.1.1: True", "number"]),
         ({"path_loss": 3}, ["path_loss: 3", "dictionary"]),
         ({"sinr": "voltage"}, ["sinr", "voltage", "'power' or 'amplitude'"]),
