@@ -6,7 +6,7 @@ import traceback
 from autopilot_bridge.vehicle import Mode
 
 AS_PLANNED, ERROR, FAILSAFE = 0, 1, 3
-"""Exit codes."""
+"""Exit codes, the bridge's and those of `aerialstar fly`; 2 is bad input."""
 
 
 class End(Exception):  # noqa: N818  not an error: the flight's last decision

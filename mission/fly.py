@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from autopilot_bridge.endings import AS_PLANNED, ERROR, FAILSAFE
 from bus.messages import CommandName
 from bus.session import free_endpoint, open_session
 from mission import run_folder
@@ -26,7 +27,7 @@ from mission.progress import FlightView
 from mission.report import Report, prepare, table, write
 from mission.summary import summary
 from mission.supervisor import Node, describe_exit, end_all, python
-from mission.vehicle_flight import AS_PLANNED, ERROR, FAILSAFE, Item, VehicleFlight, reason, told
+from mission.vehicle_flight import Item, VehicleFlight, reason, told
 
 START_S = 180.0
 """Wall clock for the nodes to come up; the first time the flight model and numba compile."""

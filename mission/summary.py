@@ -4,16 +4,17 @@ from collections.abc import Mapping
 
 from rich.table import Table
 
+from autopilot_bridge.endings import AS_PLANNED, ERROR, FAILSAFE
 from mission.report import Report
 
-ENDED = {0: "as planned", 1: "error", 3: "by failsafe"}
+ENDED: dict[int | None, str] = {AS_PLANNED: "as planned", ERROR: "error", FAILSAFE: "by failsafe"}
 
 
 def summary(codes: Mapping[str, int | None], reports: Mapping[str, Report]) -> Table:
     """A row for each vehicle by name: its exit code, and what its report says when there is one."""
     table = Table("vehicle", "ended", "slots", "actions flown", "mean sum rate", "energy", box=None)
     for name, code in codes.items():
-        ended = ENDED.get(code, "not at all") if code is not None else "not at all"
+        ended = ENDED.get(code, "not at all")
         report = reports.get(name)
         if report is None:
             table.add_row(name, ended)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import zenoh
 
+from autopilot_bridge.endings import ERROR, FAILSAFE
 from bus import topics
 from bus.messages import Command, CommandName, LinkReport, MissionEvent, NodeHealth, SlotOpened, VehicleState
 from mission.flight_log import FILE_NAME as LOG_NAME
@@ -15,8 +16,6 @@ from mission.progress import VehicleView
 from mission.recorder import Recorder
 from mission.supervisor import Node, describe_exit
 
-AS_PLANNED, ERROR, FAILSAFE = 0, 1, 3
-"""Exit codes; 2 is bad input."""
 LAST_WORDS_S = 1.0
 """Wall clock in which the last words of a bridge that is gone may still come."""
 COME_DOWN_S = 600.0

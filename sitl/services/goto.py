@@ -10,8 +10,6 @@ from sitl.services.missions import set_current
 from sitl.targets import Destination
 from sitl.vehicle import Vehicle
 
-CHANGE_MODE = 1
-"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
 ALTITUDE_MAX_M = 100_000.0
 
 

@@ -152,6 +152,18 @@ OUTCOMES = ["flown", "clipped", "late", "missing", "rejected"]
 
 
 @pytest.fixture
+def mission(tmp_path):
+    """`mission(text)`: the path of a mission file."""
+
+    def make(text):
+        path = tmp_path / "m.yaml"
+        path.write_text(text)
+        return path
+
+    return make
+
+
+@pytest.fixture
 def flight():
     """Every message of a five-slot flight as (topic name, message): one slot of each outcome, the second starved."""
     messages = [("event", m.MissionEvent(time_s=0.0, source="bridge", kind="phase", text="slots"))]

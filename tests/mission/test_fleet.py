@@ -28,16 +28,6 @@ from rf_model.seeding import vehicle_seeds
 from sitl.origin import Origin
 
 
-@pytest.fixture
-def mission(tmp_path):
-    def make(text):
-        path = tmp_path / "m.yaml"
-        path.write_text(text)
-        return path
-
-    return make
-
-
 def test_each_vehicle_flies_what_the_mission_says_but_for_its_own(mission):
     path = mission(
         "seed: 7\nslots: 9\nspeed: 3\nat_end: land\npolicy: {kind: hover}\n"

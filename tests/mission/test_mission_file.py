@@ -14,16 +14,6 @@ from rf_model.scenario import PRESETS
 DEMO = Path(__file__).parents[2] / "missions" / "demo.yaml"
 
 
-@pytest.fixture
-def mission(tmp_path):
-    def make(text):
-        path = tmp_path / "m.yaml"
-        path.write_text(text)
-        return path
-
-    return make
-
-
 def test_the_demo_mission_is_sound():
     demo = load(DEMO)
     assert (demo.clock, demo.slots, demo.scenario.slots) == ("lockstep", 30, 30)
