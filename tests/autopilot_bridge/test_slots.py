@@ -172,7 +172,7 @@ def test_a_plan_does_not_run_away_from_a_vehicle_that_the_envelope_holds_back(sl
 def test_what_tracking_loses_does_not_leak_into_the_plan(slots, make_action):
     slots.act(make_action(0, (8.0, 0.0, 0.0)), T0)
     ahead = slots.reference(T0 + 1.0).position
-    run_slot(slots, position=START)
+    run_slot(slots, position=ahead - np.array([5.0, 0.0, 0.0]))
     assert slots.reference(slots.opening_s).position == pytest.approx(ahead), "nobody held it back"
 
 
